@@ -1,0 +1,60 @@
+// Payloads: one brick's samples and, at level 0, its voxels' active states, as bytes. docs/format.md, section "Payload".
+// Each payload picks the cheapest encoding that keeps its error bound: one value, lossless, or k-bit linear
+// quantisation; differences against the 3-D Lorenzo predictor (Ibarria et al., 2003) where they pay; zigzag and byte
+// planes; zstd. Pure functions, any thread; contexts are kept per thread.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "core/brick_shape.h"
+#include "core/result.h"
+#include "core/sample_type.h"
+
+namespace brickyard {
+
+// A payload never exceeds this; a longer claim is refused before it is read.
+inline constexpr std::size_t kMaxPayloadBytes = 32u << 20;
+
+struct BrickToEncode {
+    BrickShape shape;
+    SampleType type = SampleType::kFloat32;
+    int components = 1;
+    // Planar, x fastest, shape.samples() * components values of sampleBytes(type).
+    std::span<const std::byte> values;
+    // One byte per owned voxel, shape.cells(), x fastest; empty where states are not kept (levels above 0).
+    std::span<const std::uint8_t> active;
+    // One per component; lets "active is what differs from the background" cost nothing.
+    std::span<const ValueBits> background;
+    // Largest allowed |decoded - value|. 0: bit-exact. Integers and bools are always bit-exact.
+    double max_error = 0;
+};
+
+struct EncodedBrick {
+    std::vector<std::byte> payload;
+    double error_made = 0;  // measured by decoding this payload
+};
+
+// Never fails on finite values; the caller has dealt with NaN and infinity.
+EncodedBrick encodeBrick(const BrickToEncode& brick);
+
+struct DecodedBrick {
+    SampleType type = SampleType::kFloat32;
+    std::vector<std::byte> values;     // planar, x fastest, as BrickToEncode::values
+    std::vector<std::uint8_t> active;  // shape.cells() states; empty where the payload keeps none
+};
+
+// Bounded by the brick's own size whatever the payload says. `background` as given to the encoder.
+// Errors: kCorrupt, without the place; the caller adds file and node.
+Result<DecodedBrick> decodeBrick(std::span<const std::byte> payload, BrickShape shape, SampleType type, int components,
+                                 std::span<const ValueBits> background);
+
+// The same values as floats for a renderer, saturated to the finite range; states are skipped, not decoded.
+// `out` has shape.samples() * components floats.
+Result<void> decodeBrickToFloat(std::span<const std::byte> payload, BrickShape shape, SampleType type, int components,
+                                std::span<float> out);
+
+}  // namespace brickyard

@@ -1,0 +1,29 @@
+// The shape of a `brickyard` command: it adds itself to the command line, and runs when it was chosen.
+#pragma once
+
+#include <CLI/CLI.hpp>
+#include <memory>
+#include <string>
+
+#include "core/result.h"
+
+namespace brickyard {
+
+// Exit status: 0 done, 1 failed, 2 wrong usage.
+enum ExitStatus { kExitDone = 0, kExitFailed = 1, kExitUsage = 2 };
+
+// Each adds one subcommand; its callback stores the exit status in `status`.
+void addConvertCommand(CLI::App& app, int& status);
+void addInfoCommand(CLI::App& app, int& status);
+void addVerifyCommand(CLI::App& app, int& status);
+void addExportCommand(CLI::App& app, int& status);
+void addServeCommand(CLI::App& app, int& status);
+void addRenderCommand(CLI::App& app, int& status);
+
+// Prints "brickyard COMMAND: message" on stderr and gives kExitFailed.
+int reportError(const std::string& command, const Error& error);
+
+// "512M", "1.5G", "65536": bytes, powers of 1024. Errors: kInvalid.
+Result<std::uint64_t> parseSize(const std::string& text);
+
+}  // namespace brickyard
