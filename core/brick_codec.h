@@ -23,7 +23,7 @@ struct BrickToEncode {
     BrickShape shape;
     SampleType type = SampleType::kFloat32;
     int components = 1;
-    // Planar, x fastest, shape.samples() * components values of sampleBytes(type).
+    // Planar, x fastest, shape.samples() * components values of sampleBytes(type). Any alignment; bools are 0 or 1.
     std::span<const std::byte> values;
     // One byte per owned voxel, shape.cells(), x fastest; empty where states are not kept (levels above 0).
     std::span<const std::uint8_t> active;
@@ -38,7 +38,8 @@ struct EncodedBrick {
     double error_made = 0;  // measured by decoding this payload
 };
 
-// Never fails on finite values; the caller has dealt with NaN and infinity.
+// Never fails. A brick with NaN or infinity comes back bit for bit, whatever error is allowed; keeping them out is the
+// caller's business.
 EncodedBrick encodeBrick(const BrickToEncode& brick);
 
 struct DecodedBrick {

@@ -23,6 +23,13 @@ constexpr bool isFloating(SampleType type) {
     return type == SampleType::kFloat32 || type == SampleType::kFloat64;
 }
 
+// What a payload of `level` stores. Level 0 is the source's own type. Coarser levels are averages: halves of integers
+// and fractions of bools are floating, and double where the level-0 type has more digits than a float.
+constexpr SampleType levelType(SampleType type, int level) {
+    if (level == 0) return type;
+    return type == SampleType::kFloat32 || type == SampleType::kBool ? SampleType::kFloat32 : SampleType::kFloat64;
+}
+
 const char* toString(SampleType type);
 
 // One value as its bits, zero-extended to 64: float32 as IEEE bits in the low half, int32 in the low half (two's

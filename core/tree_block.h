@@ -40,7 +40,8 @@ struct NodeRecord {
     float rms = 0;                       // root mean square of the deviation over the level-0 samples it owns
     // Tight box of the cells that hold anything but background, in cells of this node, [begin, end) in [0, N].
     std::array<std::uint8_t, 3> box_begin{}, box_end{};
-    bool active = false;                 // state of a node of one value
+    bool active = false;                 // state of every voxel of a leaf that stores no states: a node of one value, or a
+                                         // leaf above level 0
     std::uint32_t constant = 0;          // index of its value in the block's table; only if payload_bytes == 0
     std::int32_t grid = -1;              // index of its error grid; -1: `bound` and `rms` hold everywhere
 
@@ -97,8 +98,9 @@ private:
     std::vector<ValueBits> constants_;
 };
 
-// A block's raw bytes are at most this many.
+// A block's raw bytes and nodes are at most this many.
 inline constexpr std::uint32_t kMaxBlockRawBytes = 16u << 20;
+inline constexpr std::uint32_t kMaxBlockNodes = 16384;
 // Decompression and checks of a stored block in one step. Errors: as decode().
 Result<TreeBlock> decodeStoredBlock(std::span<const std::byte> stored, std::uint32_t raw_bytes, std::uint32_t own_index,
                                     std::uint32_t block_count, std::uint64_t file_bytes, int components);

@@ -16,7 +16,6 @@
 namespace brickyard {
 
 inline constexpr std::uint32_t kBlockTargetNodes = 1024;
-inline constexpr std::uint32_t kMaxBlockNodes = 16384;
 
 struct TreeNode {
     NodeRecord record;  // `constant` and `grid` are filled in by the encoder

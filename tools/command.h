@@ -17,6 +17,7 @@ void addConvertCommand(CLI::App& app, int& status);
 void addInfoCommand(CLI::App& app, int& status);
 void addVerifyCommand(CLI::App& app, int& status);
 void addExportCommand(CLI::App& app, int& status);
+void addSampleCommand(CLI::App& app, int& status);
 void addServeCommand(CLI::App& app, int& status);
 void addRenderCommand(CLI::App& app, int& status);
 

@@ -23,7 +23,7 @@ endif()
 if(BRICKYARD_OPENVDB)
     # Not FindOpenVDB: it would link another Boost beside the one that libopenvdb was built with.
     find_package(TBB REQUIRED)
-    find_package(Imath REQUIRED)
+    find_package(Imath REQUIRED QUIET)  # aloud it complains of a Python library that nobody asked for
     find_library(OPENVDB_LIBRARY openvdb REQUIRED)
     find_path(OPENVDB_INCLUDE_DIR openvdb/version.h REQUIRED)
     add_library(brickyard_openvdb INTERFACE)
@@ -35,3 +35,4 @@ if(BRICKYARD_TESTS)
     find_package(GTest REQUIRED)
 endif()
 find_package(CLI11 REQUIRED)
+find_package(nlohmann_json REQUIRED)

@@ -1,0 +1,373 @@
+// The renderer on the CPU: tiles of rays over all cores, pass by pass.
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <thread>
+#include <unordered_set>
+
+#include "client/cpu/ray_tracer.h"
+#include "client/renderer.h"
+#include "core/brick_codec.h"
+#include "core/brick_store.h"
+
+namespace brickyard {
+
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr std::uint32_t kTileEdge = 32;
+// A wish is answered in pieces; what arrives is drawn with after each wish, not after each piece.
+constexpr std::size_t kMaxWishPages = 16384;
+// The first wish of a cold client: an overview, chosen by the source.
+constexpr std::uint64_t kOverviewBytes = 256u << 10;
+constexpr float kOverviewPixelsPerVoxel = 16;
+// Segments kept of rays that wait, over all tiles; tiles beyond it are taken up later.
+constexpr std::uint64_t kMaxWaitingRays = 4u << 20;
+
+double secondsSince(Clock::time_point begin) { return std::chrono::duration<double>(Clock::now() - begin).count(); }
+
+struct Tile {
+    std::uint32_t x0 = 0, y0 = 0, x1 = 0, y1 = 0;
+    std::vector<PixelRay> rays;        // of pixels that are not final
+    std::vector<std::uint32_t> where;  // their places in the picture
+    bool begun = false;
+    bool done() const { return begun && rays.empty(); }
+};
+
+class CpuPicture {
+public:
+    CpuPicture(BrickSource& source, const RenderRequest& request) : source_(source), request_(request) {}
+
+    Result<RenderOutcome> run();
+
+private:
+    Result<void> open();
+    Result<void> pass();
+    void traceTile(std::uint32_t index, WantList& wants);
+    void drawProvisional();
+    // Sends the wants of the last pass and takes in what comes. False when nothing more may come.
+    Result<bool> stream();
+    Result<void> take(const PageWish& wish);
+    void arrive(const Arrival& arrival);
+    PagedChannel* channelOf(std::uint32_t index) {
+        if (density_ && density_->index() == index) return &*density_;
+        return emission_ && emission_->index() == index ? &*emission_ : nullptr;
+    }
+    bool late() const { return request_.deadline && Clock::now() - begin_ >= *request_.deadline; }
+    void forEachThread(const std::function<void(unsigned)>& body) const;
+    RayContext context(WantList& wants, std::uint32_t tile) const { return {&*cache_, &failed_, &wants, tile}; }
+
+    BrickSource& source_;
+    const RenderRequest& request_;
+    Clock::time_point begin_ = Clock::now();
+    RenderOutcome outcome_;
+    std::optional<PinholeCamera> camera_;
+    std::optional<PagedChannel> density_, emission_;
+    std::optional<PageCache> cache_;
+    RenderPlan plan_;
+    std::optional<RayTracer> tracer_;
+    std::vector<Tile> tiles_;
+    WantList wants_;
+    std::unordered_set<WantedPage, WantedPageHash> failed_;
+    std::unordered_set<WantedPage, WantedPageHash> retried_;
+    unsigned threads_ = 1;
+    bool over_budget_ = false;
+};
+
+void CpuPicture::forEachThread(const std::function<void(unsigned)>& body) const {
+    std::vector<std::jthread> threads;
+    for (unsigned t = 1; t < threads_; ++t) threads.emplace_back([&body, t] { body(t); });
+    body(0);
+}
+
+Result<void> CpuPicture::open() {
+    threads_ = request_.threads ? request_.threads : std::max(1u, std::thread::hardware_concurrency());
+    Result<FrameFooter> footer = source_.openFrame(request_.frame);
+    if (!footer) return tl::unexpected(footer.error());
+    std::uint64_t file_bytes = UINT64_MAX;
+    for (const FrameEntry& entry : source_.manifest().frames())
+        if (entry.frame() == request_.frame) file_bytes = entry.file_bytes();
+
+    Result<SceneSettings> scene = bindScene(request_.scene, *footer);
+    if (!scene) return tl::unexpected(scene.error());
+    if (request_.density_scale) scene->density_scale = *request_.density_scale;
+    const int edge = int(footer->brick_edge());
+    auto openChannel = [&](std::uint32_t index, std::optional<PagedChannel>& out) -> Result<void> {
+        Result<PagedChannel> channel = PagedChannel::create(footer->channels(int(index)), index, edge, file_bytes);
+        if (!channel) return tl::unexpected(channel.error());
+        out = std::move(*channel);
+        return {};
+    };
+    if (Result<void> opened = openChannel(scene->density_channel, density_); !opened) return opened;
+    // One channel twice is two roles for one set of pages.
+    const bool glows = scene->emission.has_value();
+    if (glows && scene->emission->channel != scene->density_channel)
+        if (Result<void> opened = openChannel(scene->emission->channel, emission_); !opened) return opened;
+
+    const double aspect = double(request_.width) / double(request_.height);
+    outcome_.camera = request_.camera               ? *request_.camera
+                      : request_.scene.has_camera() ? request_.scene.camera()
+                                                    : frameChannel(footer->channels(int(scene->density_channel)), aspect);
+    Result<PinholeCamera> camera = PinholeCamera::create(outcome_.camera, request_.width, request_.height);
+    if (!camera) return tl::unexpected(camera.error());
+    camera_ = *camera;
+
+    const BrickShape shape{edge};
+    cache_.emplace(request_.cache_bytes, shape.samples());
+    if (cache_->capacity() == 0)
+        return fail(ErrorCode::kInvalid, fmt::format("--cache {} is less than one brick of this dataset; give at least {} bytes",
+                                                     request_.cache_bytes, cache_->pageBytes()));
+    plan_.camera = &*camera_;
+    plan_.density = &*density_;
+    plan_.emission = !glows ? nullptr : emission_ ? &*emission_ : &*density_;
+    plan_.scene = *scene;
+    plan_.quality = request_.quality;
+    tracer_.emplace(plan_);
+    outcome_.picture = Picture(request_.width, request_.height);
+    outcome_.background = scene->background;
+    for (std::uint32_t y = 0; y < request_.height; y += kTileEdge)
+        for (std::uint32_t x = 0; x < request_.width; x += kTileEdge) {
+            Tile& tile = tiles_.emplace_back();
+            tile.x0 = x, tile.y0 = y;
+            tile.x1 = std::min(x + kTileEdge, request_.width);
+            tile.y1 = std::min(y + kTileEdge, request_.height);
+        }
+    return {};
+}
+
+// A first wish that needs no knowledge: the top of each tree, and an overview of what the camera sees.
+Result<void> CpuPicture::take(const PageWish& wish) {
+    if (Result<void> sent = source_.wish(wish); !sent) return sent;
+    Clock::time_point deadline = Clock::time_point::max();
+    if (request_.deadline) deadline = begin_ + std::chrono::duration_cast<Clock::duration>(*request_.deadline);
+    cache_->beginPass();
+    while (!late()) {
+        Result<std::vector<Arrival>> arrivals = source_.take(deadline);
+        if (!arrivals) return tl::unexpected(arrivals.error());
+        if (arrivals->empty()) break;
+        for (const Arrival& arrival : *arrivals) arrive(arrival);
+    }
+    return {};
+}
+
+void CpuPicture::arrive(const Arrival& arrival) {
+    const PageAddress& address = arrival.page.address;
+    const WantedPage key{arrival.page.is_block, {address.channel, address.block, arrival.page.is_block ? 0 : address.node}};
+    auto failed = [&](const std::string& why) {
+        // Once more: a flipped bit on the way is not one on the disk.
+        if (arrival.bytes && retried_.insert(key).second) return;
+        if (failed_.insert(key).second && outcome_.first_failure.empty()) outcome_.first_failure = why;
+    };
+    if (!arrival.bytes) return failed(arrival.bytes.error().message);
+    PagedChannel* channel = channelOf(address.channel);
+    if (!channel) return;  // not asked for
+    if (arrival.page.is_block) {
+        if (Result<void> added = channel->addBlock(address.block, *arrival.bytes); !added) failed(added.error().message);
+        return;
+    }
+    const TreeBlock* block = address.block < channel->blockCount() ? channel->block(address.block) : nullptr;
+    if (!block || address.node >= block->nodeCount() || !block->record(address.node).hasBrick()) return;
+    if (cache_->contains(address)) return;
+    const NodeRecord& record = block->record(address.node);
+    const std::string where = fmt::format("channel '{}': brick {} of tree block {}", channel->name(), address.node, address.block);
+    if (arrival.bytes->size() != record.payload_bytes || checksum(*arrival.bytes) != record.payload_checksum)
+        return failed(where + " fails its checksum; run `brickyard verify` on the dataset");
+    // Decoded aside: a payload that is refused half-way must not leave half a brick in the cache.
+    std::vector<float> samples(channel->shape().samples());
+    const SampleType type = levelType(channel->type(), channel->levelOf({address.block, address.node}));
+    if (Result<void> decoded = decodeBrickToFloat(*arrival.bytes, channel->shape(), type, 1, samples); !decoded)
+        return failed(where + ": " + decoded.error().message);
+    float* slot = cache_->insert(address);
+    if (!slot) return;  // no room now: it is wanted again
+    std::copy(samples.begin(), samples.end(), slot);
+    if (address.block == 0 && address.node < channel->roots().size()) cache_->pin(address);
+}
+
+void CpuPicture::traceTile(std::uint32_t index, WantList& wants) {
+    Tile& tile = tiles_[index];
+    const RayContext ray_context = context(wants, index);
+    Picture& picture = outcome_.picture;
+    RayComposite composite;
+    auto finish = [&](std::uint32_t at) { picture.pixels[at] = composite.pixel(); };
+    if (!tile.begun) {
+        tile.begun = true;
+        for (std::uint32_t y = tile.y0; y < tile.y1; ++y)
+            for (std::uint32_t x = tile.x0; x < tile.x1; ++x) {
+                const std::uint32_t at = y * picture.width + x;
+                PixelRay ray;
+                if (tracer_->advance(x, y, ray, ray_context, composite)) {
+                    finish(at);
+                    if (!failed_.empty() && RayTracer::hasFailed(ray)) outcome_.final = false;
+                } else {
+                    tile.rays.push_back(std::move(ray));
+                    tile.where.push_back(at);
+                }
+            }
+        return;
+    }
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < tile.rays.size(); ++i) {
+        const std::uint32_t at = tile.where[i];
+        if (tracer_->advance(at % picture.width, at / picture.width, tile.rays[i], ray_context, composite)) {
+            finish(at);
+            continue;
+        }
+        if (kept != i) {
+            tile.rays[kept] = std::move(tile.rays[i]);
+            tile.where[kept] = at;
+        }
+        ++kept;
+    }
+    tile.rays.resize(kept);
+    tile.where.resize(kept);
+    if (kept == 0) tile.rays.shrink_to_fit(), tile.where.shrink_to_fit();
+}
+
+// Every tile that is not done, in order, until what they miss would not fit into the cache.
+Result<void> CpuPicture::pass() {
+    const Clock::time_point begin = Clock::now();
+    cache_->beginPass();
+    wants_.clear();
+    std::vector<std::uint32_t> open_tiles;
+    for (std::uint32_t i = 0; i < tiles_.size(); ++i)
+        if (!tiles_[i].done()) open_tiles.push_back(i);
+
+    std::atomic<std::size_t> next{0}, missed{0};
+    std::atomic<std::uint64_t> waiting{0};
+    const std::size_t room = std::max<std::size_t>(1, cache_->room());
+    std::vector<WantList> wants(threads_);
+    forEachThread([&](unsigned thread) {
+        for (;;) {
+            if (missed.load(std::memory_order_relaxed) > room || waiting.load(std::memory_order_relaxed) > kMaxWaitingRays) return;
+            const std::size_t i = next.fetch_add(1);
+            if (i >= open_tiles.size() || late()) return;
+            const std::size_t before = wants[thread].size();
+            traceTile(open_tiles[i], wants[thread]);
+            missed.fetch_add(wants[thread].size() - before, std::memory_order_relaxed);
+            waiting.fetch_add(tiles_[open_tiles[i]].rays.size(), std::memory_order_relaxed);
+        }
+    });
+    for (const WantList& list : wants) wants_.merge(list);
+    outcome_.seconds_render += secondsSince(begin);
+    ++outcome_.passes;
+    return {};
+}
+
+Result<bool> CpuPicture::stream() {
+    struct Ranked {
+        WantedPage page;
+        Want want;
+    };
+    std::vector<Ranked> ranked;
+    for (const auto& [page, want] : wants_.all()) ranked.push_back({page, want});
+    if (ranked.empty()) return false;
+    // Where not all fits, the first tiles come first: they get done, and their pages may go. Else: most error per byte.
+    const std::size_t room = std::max<std::size_t>(1, cache_->room());
+    const bool all_fit = ranked.size() <= std::min(room, kMaxWishPages);
+    std::sort(ranked.begin(), ranked.end(), [&](const Ranked& a, const Ranked& b) {
+        if (a.page.is_block != b.page.is_block) return a.page.is_block;
+        if (!all_fit && a.want.tile != b.want.tile) return a.want.tile < b.want.tile;
+        const double worth_a = a.want.worth / double(a.want.bytes + 1), worth_b = b.want.worth / double(b.want.bytes + 1);
+        if (worth_a != worth_b) return worth_a > worth_b;
+        const PageAddress &pa = a.page.address, &pb = b.page.address;
+        return std::tie(pa.channel, pa.block, pa.node) < std::tie(pb.channel, pb.block, pb.node);
+    });
+
+    PageWish wish;
+    std::size_t pages = 0;
+    const std::uint64_t streamed = source_.counters().bytes_streamed;
+    const std::uint64_t allowed = request_.max_stream_bytes > streamed ? request_.max_stream_bytes - streamed : 0;
+    for (const Ranked& r : ranked) {
+        if (!r.page.is_block && ++pages > room) break;
+        if (wish.pages.size() >= kMaxWishPages) break;
+        if (wish.credit_bytes + r.want.bytes > allowed) {
+            over_budget_ = true;
+            break;
+        }
+        wish.pages.push_back({r.page.is_block, r.page.address});
+        wish.credit_bytes += r.want.bytes;
+    }
+    if (wish.pages.empty()) return false;
+    if (Result<void> taken = take(wish); !taken) return tl::unexpected(taken.error());
+    return true;
+}
+
+void CpuPicture::drawProvisional() {
+    std::atomic<std::size_t> next{0};
+    std::vector<WantList> ignored(threads_);
+    forEachThread([&](unsigned thread) {
+        for (std::size_t i = next.fetch_add(1); i < tiles_.size(); i = next.fetch_add(1)) {
+            Tile& tile = tiles_[i];
+            const RayContext ray_context = context(ignored[thread], std::uint32_t(i));
+            if (!tile.begun) traceTile(std::uint32_t(i), ignored[thread]);
+            for (std::size_t r = 0; r < tile.rays.size(); ++r)
+                outcome_.picture.pixels[tile.where[r]] = tracer_->provisional(tile.rays[r], ray_context).pixel();
+        }
+    });
+}
+
+Result<RenderOutcome> CpuPicture::run() {
+    if (Result<void> opened = open(); !opened) return tl::unexpected(opened.error());
+
+    PageWish overview;
+    CameraView view{outcome_.camera, request_.width, request_.height, {}, kOverviewPixelsPerVoxel};
+    for (const std::optional<PagedChannel>* channel : {&density_, &emission_})
+        if (*channel && !(*channel)->empty() && (*channel)->blockCount() > 0) view.channels.push_back((*channel)->index());
+    if (!view.channels.empty()) {
+        overview.views.push_back(view);
+        overview.credit_bytes = std::min({kOverviewBytes, request_.max_stream_bytes, request_.cache_bytes / 4});
+        if (Result<void> taken = take(overview); !taken) return tl::unexpected(taken.error());
+    }
+
+    bool more = true;
+    std::uint64_t done = 0;
+    while (more && !late()) {
+        if (Result<void> drawn = pass(); !drawn) return tl::unexpected(drawn.error());
+        if (outcome_.passes == 1) {
+            const Clock::time_point begin = Clock::now();
+            drawProvisional();
+            outcome_.seconds_render += secondsSince(begin);
+            outcome_.seconds_first_image = secondsSince(begin_);
+        }
+        done = 0;
+        for (const Tile& tile : tiles_)
+            if (tile.begun) done += std::uint64_t(tile.x1 - tile.x0) * (tile.y1 - tile.y0) - tile.rays.size();
+        if (request_.progress)
+            request_.progress(done, outcome_.picture.pixels.size(), source_.counters().bytes_streamed);
+        if (std::all_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return tile.done(); })) break;
+        Result<bool> streamed = stream();
+        if (!streamed) return tl::unexpected(streamed.error());
+        // A pass may stop before the last tile with nothing missed: then the next one goes on.
+        more = *streamed || (wants_.empty() && !over_budget_);
+    }
+
+    const bool all_done = std::all_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return tile.done(); });
+    if (!all_done) drawProvisional();
+    if (outcome_.passes == 0) outcome_.seconds_first_image = secondsSince(begin_);
+    outcome_.final = all_done && failed_.empty();
+    outcome_.not_final.failed = failed_.size();
+    if (!all_done) (over_budget_ ? outcome_.not_final.over_budget : outcome_.not_final.queued) = std::max<std::size_t>(1, wants_.size());
+    outcome_.streamed = source_.counters();
+    outcome_.cache_bytes = cache_->peakBytes();
+    outcome_.cache_reloads = cache_->reloads();
+    outcome_.tree_bytes = density_->treeBytes() + (emission_ ? emission_->treeBytes() : 0);
+    outcome_.seconds_total = secondsSince(begin_);
+    return std::move(outcome_);
+}
+
+class CpuRenderer final : public Renderer {
+public:
+    Result<RenderOutcome> render(BrickSource& source, const RenderRequest& request) override {
+        return CpuPicture(source, request).run();
+    }
+};
+
+}  // namespace
+
+std::unique_ptr<Renderer> makeCpuRenderer() { return std::make_unique<CpuRenderer>(); }
+
+}  // namespace brickyard

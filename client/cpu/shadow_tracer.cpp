@@ -1,0 +1,129 @@
+#include "client/cpu/shadow_tracer.h"
+
+#include <cmath>
+
+#include "client/cpu/cell_walk.h"
+
+namespace brickyard {
+
+namespace {
+
+// exp(-kOpaque) is below what a float can add to 1.
+constexpr double kOpaque = 20;
+
+// Where half of what a step of optical depth `depth` scatters has been scattered, as a part of its length.
+double middleOfWeight(double depth) {
+    if (depth < 1e-6) return 0.5;
+    return -std::log(0.5 * (1 + std::exp(-depth))) / depth;
+}
+
+}  // namespace
+
+ShadowTracer::ShadowTracer(const RenderPlan& plan, double tolerance)
+    : plan_(plan), direction_(plan.density->transform().inverseVector(plan.scene.light->to_light)),
+      unit_length_(1 / glm::length(direction_)), tolerance_(tolerance) {}
+
+bool ShadowTracer::light(const ChannelRay& ray, RaySegment& segment, double transmittance, double least_weight,
+                         const RayContext& context) const {
+    double begin = segment.span.begin, before = 0;
+    if (segment.lit > 0) {
+        begin = segment.cells[segment.lit - 1].end;
+        before = segment.cells[segment.lit - 1].integral;
+    }
+    for (; segment.lit < segment.cells.size(); ++segment.lit) {
+        CellStep& step = segment.cells[segment.lit];
+        const double depth = step.integral - before;
+        const double weight = transmittance * std::exp(-before) * -std::expm1(-depth);
+        if (weight < least_weight) {
+            // Half-lit, give or take all of it: what it could add is below what matters.
+            step.shadow = step.shadow_sd = weight > 0 ? 0.5f : 0.0f;
+        } else {
+            const double t = begin + middleOfWeight(depth) * (step.end - begin);
+            if (!trace(ray.ray().origin + t * ray.ray().direction, segment, context, weight)) return false;
+            const double lit = std::exp(-segment.shadow_depth);
+            step.shadow = float(lit);
+            step.shadow_sd = float(std::min(1.0, lit * std::sqrt(segment.shadow_variance)));
+            segment.shadow_t = segment.shadow_depth = segment.shadow_variance = 0;
+        }
+        begin = step.end;
+        before = step.integral;
+    }
+    return true;
+}
+
+// Adds up optical depth in the order of the ray, node by node, so that a ray taken up again ends with the same bits.
+bool ShadowTracer::trace(const glm::dvec3& from, RaySegment& segment, const RayContext& context, double worth) const {
+    const PagedChannel& density = *plan_.density;
+    const double scale = plan_.scene.density_scale;
+    IndexRay ray;
+    ray.origin = from;
+    ray.direction = direction_;
+    const double longest = std::max({std::abs(direction_.x), std::abs(direction_.y), std::abs(direction_.z)});
+    for (int a = 0; a < 3; ++a) {
+        ray.parallel[a] = !(std::abs(direction_[a]) > longest * 1e-280);
+        ray.inverse[a] = ray.parallel[a] ? 0 : 1 / direction_[a];
+    }
+    const RaySpan span = ray.clip(density.clipLow(), density.clipHigh(), {0, std::numeric_limits<double>::infinity()});
+    if (span.empty()) return true;
+    const double whole = span.end - span.begin;
+
+    bool blocked = false;
+    auto want = [&](const WantedPage& page, std::uint32_t bytes) {
+        context.wants->add(page, bytes, worth, context.tile);
+        blocked = true;
+    };
+    auto varianceOf = [&](const NodeRecord& record, const NodeKey& key, double length) {
+        const double rms = double(record.rms) * scale;
+        return rms * rms * length * std::ldexp(unit_length_, key.level);
+    };
+    walkOctree(
+        density, ray, span,
+        [&](const WalkedNode& node) {
+            if (node.span.end <= segment.shadow_t) return false;
+            const WantedPage below{true, {density.index(), node.block->children(node.ref.node).block, 0}};
+            if (context.failed->contains(below)) return false;
+            // A share of the tolerated variance in proportion to length.
+            const double length = node.span.end - node.span.begin;
+            return varianceOf(node.record(), node.key, length) > tolerance_ * tolerance_ * length / whole;
+        },
+        [&](const WalkedNode& node) {
+            if (node.span.end <= segment.shadow_t) return true;
+            double depth = 0;
+            const double length = node.span.end - node.span.begin;
+            const double background = std::max(0.0, double(density.background()));
+            if (node.status == WalkStatus::kBackground) {
+                depth = background * length;
+            } else if (node.status == WalkStatus::kMissingBlock) {
+                const WantedPage page{true, {density.index(), node.missing_block, 0}};
+                if (!context.failed->contains(page)) want(page, std::uint32_t(density.blockBytes(node.missing_block)));
+            } else if (!node.record().hasBrick()) {
+                const ValueBits bits = node.block->constant(node.ref.node)[0];
+                depth = std::max(0.0, double(toFloat(density.type(), bits))) * length;
+            } else {
+                const PageAddress page{density.index(), node.ref.block, node.ref.node};
+                const float* samples = context.cache->find(page);
+                double inside = 0;
+                if (samples) {
+                    walkCells(samples, density.shape(), node.key, node.record(), ray, node.span,
+                              [&](const Cell& cell, const glm::dvec3& a, const glm::dvec3& b, double begin, double end) {
+                                  depth += meanPositive(cell, a, b) * (end - begin);
+                                  inside += end - begin;
+                              });
+                    depth += background * std::max(0.0, length - inside);
+                } else if (context.failed->contains({false, page})) {
+                    depth = 0.5 * (std::max(0.0, double(node.record().value_min)) + double(node.record().value_max)) * length;
+                } else {
+                    want({false, page}, node.record().payload_bytes);
+                }
+            }
+            // Behind a gap nothing may be added yet; the walk goes on only to want what else is missing.
+            if (blocked) return true;
+            segment.shadow_depth += depth * scale;
+            if (node.status == WalkStatus::kNode) segment.shadow_variance += varianceOf(node.record(), node.key, length);
+            segment.shadow_t = node.span.end;
+            return segment.shadow_depth < kOpaque;
+        });
+    return !blocked;
+}
+
+}  // namespace brickyard

@@ -1,0 +1,69 @@
+#include "client/local_source.h"
+
+#include <fmt/format.h>
+
+namespace brickyard {
+namespace {
+
+constexpr std::uint64_t kBlockCacheBytes = 64u << 20;
+// A chunk is what one take() gives: small enough that a deadline is kept, large enough that calls do not
+// count.
+constexpr std::size_t kChunkPages = 64;
+constexpr std::size_t kChunkBytes = 1u << 20;
+
+}  // namespace
+
+LocalSource::LocalSource(Dataset dataset)
+    : dataset_(std::move(dataset)), blocks_(std::make_shared<BlockCache>(kBlockCacheBytes)) {}
+
+Result<std::unique_ptr<LocalSource>> LocalSource::open(const std::filesystem::path& folder) {
+    auto dataset = Dataset::open(folder);
+    if (!dataset) return tl::unexpected(dataset.error());
+    std::unique_ptr<LocalSource> source(new LocalSource(std::move(*dataset)));
+    ++source->counters_.round_trips;
+    return source;
+}
+
+Result<FrameFooter> LocalSource::openFrame(std::uint32_t frame) {
+    ++counters_.round_trips;
+    auto store = dataset_.openFrame(frame);
+    if (!store) return tl::unexpected(store.error());
+    walk_.reset();
+    frame_ = std::make_shared<const FrameReader>(std::move(*store), blocks_);
+    return frame_->footer();
+}
+
+Result<void> LocalSource::wish(PageWish newest) {
+    if (!frame_)
+        return fail(ErrorCode::kInvalid,
+                    fmt::format("{}: pages are wished before a frame is open; open one first",
+                                dataset_.folder().string()));
+    ++counters_.round_trips;
+    walk_.reset();
+    auto walk = WishWalk::create(frame_, std::move(newest));
+    if (!walk) return tl::unexpected(walk.error());
+    walk_.emplace(std::move(*walk));
+    return {};
+}
+
+Result<std::vector<Arrival>> LocalSource::take(std::chrono::steady_clock::time_point deadline) {
+    std::vector<Arrival> chunk;
+    std::size_t bytes = 0;
+    while (walk_ && chunk.size() < kChunkPages && bytes < kChunkBytes) {
+        if (!chunk.empty() && std::chrono::steady_clock::now() >= deadline) break;
+        auto step = walk_->next();
+        if (!step) {
+            walk_.reset();
+            break;
+        }
+        if (step->bytes) {
+            bytes += step->bytes->size();
+            counters_.bytes_streamed += step->bytes->size();
+            ++(step->page.is_block ? counters_.blocks_streamed : counters_.pages_streamed);
+        }
+        chunk.push_back({step->page, std::move(step->bytes)});
+    }
+    return chunk;
+}
+
+}  // namespace brickyard

@@ -1,0 +1,103 @@
+#include "client/picture.h"
+
+#include <ImfChannelList.h>
+#include <ImfFrameBuffer.h>
+#include <ImfHeader.h>
+#include <ImfOutputFile.h>
+#include <fmt/format.h>
+#include <png.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <exception>
+
+namespace brickyard {
+
+namespace {
+
+struct Layer {
+    const char* name;
+    std::size_t offset;
+};
+
+const std::array<Layer, 9>& layers() {
+    static const std::array<Layer, 9> all{{
+        {"R", offsetof(Pixel, radiance)},
+        {"G", offsetof(Pixel, radiance) + sizeof(float)},
+        {"B", offsetof(Pixel, radiance) + 2 * sizeof(float)},
+        {"A", offsetof(Pixel, alpha)},
+        {"Z", offsetof(Pixel, depth)},
+        {"errorBound.A", offsetof(Pixel, bound_alpha)},
+        {"errorBound.RGB", offsetof(Pixel, bound_radiance)},
+        {"errorEstimate.A", offsetof(Pixel, estimate_alpha)},
+        {"errorEstimate.RGB", offsetof(Pixel, estimate_radiance)},
+    }};
+    return all;
+}
+
+// IEC 61966-2-1.
+std::uint8_t encodeSrgb(float linear) {
+    const float v = std::clamp(linear, 0.0f, 1.0f);
+    const float encoded = v <= 0.0031308f ? 12.92f * v : 1.055f * std::pow(v, 1 / 2.4f) - 0.055f;
+    return std::uint8_t(encoded * 255 + 0.5f);
+}
+
+// A file is written beside its place and renamed: a failed write leaves no half picture.
+template <class Write>
+Result<void> writeThenRename(const std::filesystem::path& file, Write&& write) {
+    std::filesystem::path temporary = file;
+    temporary += ".part";
+    std::error_code ignored, error;
+    if (Result<void> written = write(temporary); !written) {
+        std::filesystem::remove(temporary, ignored);
+        return written;
+    }
+    std::filesystem::rename(temporary, file, error);
+    if (!error) return {};
+    std::filesystem::remove(temporary, ignored);
+    return fail(ErrorCode::kIo, fmt::format("{}: cannot be written: {}", file.string(), error.message()));
+}
+
+}  // namespace
+
+Result<void> writeExr(const Picture& picture, const std::filesystem::path& file) {
+    return writeThenRename(file, [&](const std::filesystem::path& temporary) -> Result<void> {
+        try {
+            Imf::Header header(int(picture.width), int(picture.height));
+            header.compression() = Imf::ZIP_COMPRESSION;
+            Imf::FrameBuffer frame;
+            for (const Layer& layer : layers()) {
+                header.channels().insert(layer.name, Imf::Channel(Imf::FLOAT));
+                // OpenEXR's slices are not const; writing only reads.
+                char* base = const_cast<char*>(reinterpret_cast<const char*>(picture.pixels.data())) + layer.offset;
+                frame.insert(layer.name, Imf::Slice(Imf::FLOAT, base, sizeof(Pixel), sizeof(Pixel) * picture.width));
+            }
+            Imf::OutputFile out(temporary.c_str(), header);
+            out.setFrameBuffer(frame);
+            out.writePixels(int(picture.height));
+            return {};
+        } catch (const std::exception& e) {
+            return fail(ErrorCode::kIo, fmt::format("{}: cannot be written: {}", file.string(), e.what()));
+        }
+    });
+}
+
+Result<void> writePng(const Picture& picture, const std::array<float, 3>& background, const std::filesystem::path& file) {
+    std::vector<std::uint8_t> bytes(picture.pixels.size() * 3);
+    for (std::size_t i = 0; i < picture.pixels.size(); ++i)
+        for (std::size_t c = 0; c < 3; ++c)
+            bytes[3 * i + c] =
+                encodeSrgb(picture.pixels[i].radiance[c] + (1 - picture.pixels[i].alpha) * background[c]);
+    png_image image{};
+    image.version = PNG_IMAGE_VERSION;
+    image.width = picture.width;
+    image.height = picture.height;
+    image.format = PNG_FORMAT_RGB;
+    return writeThenRename(file, [&](const std::filesystem::path& temporary) -> Result<void> {
+        if (png_image_write_to_file(&image, temporary.c_str(), 0, bytes.data(), 0, nullptr)) return {};
+        return fail(ErrorCode::kIo, fmt::format("{}: cannot be written: {}", file.string(), image.message));
+    });
+}
+
+}  // namespace brickyard

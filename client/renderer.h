@@ -1,0 +1,65 @@
+// A picture from a source of bricks: the loop of draw, miss, wish, arrive (Crassin et al., GigaVoxels, 2009) until nothing
+// that matters is missing. One Renderer draws one picture at a time; it brings its own threads for the rays.
+#pragma once
+
+#include <chrono>
+#include <functional>
+#include <memory>
+#include <optional>
+
+#include "client/brick_source.h"
+#include "client/cpu/render_plan.h"
+#include "client/picture.h"
+#include "core/result.h"
+
+namespace brickyard {
+
+struct RenderRequest {
+    std::uint32_t frame = 0;
+    std::uint32_t width = 640, height = 480;
+    std::optional<Camera> camera;  // absent: the dataset is framed
+    Scene scene;
+    std::optional<double> density_scale;  // wins over the scene's
+    QualitySettings quality;
+    std::uint64_t cache_bytes = 1u << 30;
+    std::uint64_t max_stream_bytes = UINT64_MAX;
+    std::optional<std::chrono::duration<double>> deadline;
+    unsigned threads = 0;  // 0: one per processor
+    // Told after each pass: pixels final, of how many, and bytes streamed. May be empty.
+    std::function<void(std::uint64_t done, std::uint64_t pixels, std::uint64_t bytes)> progress;
+};
+
+// Why a picture is not final: pages by reason.
+struct NotFinal {
+    std::uint64_t queued = 0;         // the deadline came first
+    std::uint64_t over_budget = 0;    // --max-bytes came first
+    std::uint64_t failed = 0;         // cannot be had; first_failure says why
+    std::uint64_t no_finer_data = 0;  // pixels that the finest level leaves above the error asked for
+};
+
+struct RenderOutcome {
+    Picture picture;
+    std::array<float, 3> background{};
+    Camera camera;  // as used
+    bool final = false;
+    NotFinal not_final;
+    std::string first_failure;
+    double seconds_total = 0, seconds_first_image = 0, seconds_render = 0;
+    SourceCounters streamed;
+    std::uint64_t cache_bytes = 0;  // most that the page cache held
+    std::uint64_t tree_bytes = 0;   // octree topology in memory
+    std::uint64_t cache_reloads = 0;
+    std::uint64_t passes = 0;
+};
+
+class Renderer {
+public:
+    virtual ~Renderer() = default;
+    // Errors: those of the source; kNotFound and kInvalid (frame, channel, camera); kInvalid where the cache cannot hold
+    // a single brick. A page that cannot be had is no error: see RenderOutcome::not_final.
+    virtual Result<RenderOutcome> render(BrickSource& source, const RenderRequest& request) = 0;
+};
+
+std::unique_ptr<Renderer> makeCpuRenderer();
+
+}  // namespace brickyard

@@ -1,0 +1,198 @@
+#include "client/stream_connection.h"
+
+#include <fmt/format.h>
+
+#include <boost/asio/io_context.hpp>
+#include <boost/asio/ip/tcp.hpp>
+#include <boost/asio/post.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <boost/beast/core/flat_buffer.hpp>
+#include <boost/beast/core/tcp_stream.hpp>
+#include <boost/beast/websocket.hpp>
+#include <thread>
+
+#include "core/brick_codec.h"
+#include "core/percent_code.h"
+#include "core/stream_frame.h"
+
+namespace brickyard {
+namespace {
+
+namespace asio = boost::asio;
+namespace beast = boost::beast;
+namespace websocket = beast::websocket;
+using asio::ip::tcp;
+using ErrorCondition = boost::system::error_code;
+
+constexpr std::size_t kMaxMessageBytes = 4 + kMaxServerHeaderBytes + kMaxPayloadBytes;
+// A buffer that one long message has grown beyond this is given back.
+constexpr std::size_t kKeptBufferBytes = 4u << 20;
+
+}  // namespace
+
+struct StreamConnection::State {
+    State(StreamAddress to, StreamTimeouts limits, Handlers calls)
+        : address(std::move(to)),
+          timeouts(limits),
+          handlers(std::move(calls)),
+          resolver(io),
+          stream(io),
+          deadline(io) {}
+
+    void start() {
+        deadline.expires_after(timeouts.connect);
+        deadline.async_wait([this](ErrorCondition error) {
+            if (error || open || lost) return;
+            lose(ErrorCode::kTimeout,
+                 fmt::format("no answer within {} s; is `brickyard serve` running there?",
+                             std::chrono::duration_cast<std::chrono::seconds>(timeouts.connect).count()));
+        });
+        resolver.async_resolve(address.host, std::to_string(address.port),
+                               [this](ErrorCondition error, const tcp::resolver::results_type& found) {
+                                   if (lost) return;
+                                   if (error)
+                                       return lose(
+                                           ErrorCode::kNotFound,
+                                           fmt::format("no such host: {}; check the name", error.message()));
+                                   connect(found);
+                               });
+    }
+
+    void connect(const tcp::resolver::results_type& found) {
+        beast::get_lowest_layer(stream).async_connect(
+            found, [this](ErrorCondition error, const tcp::endpoint&) {
+                if (lost) return;
+                if (error) {
+                    const auto code =
+                        error == asio::error::connection_refused ? ErrorCode::kRefused : ErrorCode::kIo;
+                    return lose(code, fmt::format("cannot connect: {}; is `brickyard serve` running there?",
+                                                  error.message()));
+                }
+                handshake();
+            });
+    }
+
+    void handshake() {
+        ErrorCondition ignored;
+        beast::get_lowest_layer(stream).socket().set_option(tcp::no_delay(true), ignored);
+        stream.set_option(websocket::stream_base::timeout{timeouts.connect, timeouts.idle, true});
+        stream.binary(true);
+        stream.auto_fragment(false);
+        stream.read_message_max(kMaxMessageBytes);
+        stream.async_handshake(
+            response, address.hostAndPort(), "/" + percentEncode(address.dataset),
+            [this](ErrorCondition error) {
+                if (lost) return;
+                if (error == websocket::error::upgrade_declined) {
+                    // The body is one line for a person, and not longer than we care for.
+                    std::string said = response.body().substr(0, response.body().find('\n'));
+                    return lose(
+                        ErrorCode::kRefused,
+                        fmt::format("the server declined ({}{}{}); is this the port of `brickyard serve`?",
+                                    response.result_int(), said.empty() ? "" : ": ", said.substr(0, 200)));
+                }
+                if (error)
+                    return lose(
+                        ErrorCode::kRefused,
+                        fmt::format("not a Brickyard stream: {}; is this the port of `brickyard serve`?",
+                                    error.message()));
+                open = true;
+                deadline.cancel();
+                handlers.on_open();
+                send();
+                read();
+            });
+    }
+
+    void read() {
+        if (reading || lost || !open) return;
+        reading = true;
+        stream.async_read(in, [this](ErrorCondition error, std::size_t) {
+            reading = false;
+            if (lost) return;
+            if (error) return lose(ErrorCode::kIo, describeLoss(error));
+            const auto data = in.cdata();
+            const bool go_on = handlers.on_message({static_cast<const std::byte*>(data.data()), data.size()});
+            in.clear();
+            if (in.capacity() > kKeptBufferBytes) in.shrink_to_fit();
+            if (go_on) read();
+        });
+    }
+
+    void send() {
+        if (sending || lost || !open) return;
+        out = handlers.next_message();
+        if (out.empty()) return;
+        sending = true;
+        stream.async_write(asio::buffer(out), [this](ErrorCondition error, std::size_t) {
+            sending = false;
+            if (lost) return;
+            // A server that refused us may have closed already: why is still to be read.
+            if (error && !reading) return lose(ErrorCode::kIo, describeLoss(error));
+            if (!error) send();
+        });
+    }
+
+    std::string describeLoss(ErrorCondition error) const {
+        if (error == websocket::error::message_too_big)
+            return fmt::format("a message is over {} bytes; is the server's version ours?", kMaxMessageBytes);
+        if (error == websocket::error::closed || error == asio::error::eof ||
+            error == asio::error::connection_reset || error == beast::error::timeout)
+            return fmt::format(
+                "the connection was lost ({}); start the server again or try again",
+                error == beast::error::timeout ? "it answers no more" : "the server closed it");
+        return fmt::format("the connection was lost ({}); try again", error.message());
+    }
+
+    void lose(ErrorCode code, const std::string& why) {
+        if (lost) return;
+        lost = true;
+        deadline.cancel();
+        resolver.cancel();
+        beast::get_lowest_layer(stream).close();
+        handlers.on_lost({code, fmt::format("{}: {}", address.url(), why)});
+    }
+
+    const StreamAddress address;
+    const StreamTimeouts timeouts;
+    const Handlers handlers;
+    asio::io_context io{1};
+    tcp::resolver resolver;
+    websocket::stream<beast::tcp_stream> stream;
+    asio::steady_timer deadline;
+    websocket::response_type response;
+    beast::flat_buffer in;
+    std::vector<std::byte> out;
+    bool open = false, lost = false, reading = false, sending = false;
+    std::thread thread;
+};
+
+StreamConnection::StreamConnection(StreamAddress address, StreamTimeouts timeouts, Handlers handlers)
+    : state_(std::make_unique<State>(std::move(address), timeouts, std::move(handlers))) {
+    asio::post(state_->io, [raw = state_.get()] { raw->start(); });
+    state_->thread = std::thread([raw = state_.get()] {
+        const auto work = asio::make_work_guard(raw->io);
+        try {
+            raw->io.run();
+        } catch (const std::exception& error) {
+            // Out of memory, in all likelihood: the connection is of no more use, and its owner must learn
+            // it.
+            raw->lose(ErrorCode::kIo, fmt::format("the connection failed: {}", error.what()));
+        }
+    });
+}
+
+StreamConnection::~StreamConnection() {
+    state_->io.stop();
+    state_->thread.join();
+}
+
+void StreamConnection::wakeSender() {
+    asio::post(state_->io, [raw = state_.get()] { raw->send(); });
+}
+
+void StreamConnection::resumeReading() {
+    asio::post(state_->io, [raw = state_.get()] { raw->read(); });
+}
+
+}  // namespace brickyard

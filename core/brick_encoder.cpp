@@ -1,0 +1,437 @@
+// Writing a payload: choose the cheapest encoding that keeps the error bound, and tell the error that it
+// makes.
+#include <algorithm>
+#include <array>
+#include <cassert>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <type_traits>
+
+#include "core/brick_codec.h"
+#include "core/byte_io.h"
+#include "core/lorenzo.h"
+#include "core/payload_activity.h"
+#include "core/payload_format.h"
+#include "core/payload_stream.h"
+#include "core/payload_words.h"
+
+namespace brickyard {
+namespace {
+
+// The parts of a payload but for its states.
+struct Candidate {
+    PayloadEncoding encoding = PayloadEncoding::kConstant;
+    PayloadPredictor predictor = PayloadPredictor::kNone;
+    std::size_t width = 0;
+    std::vector<std::byte> parameters;
+    std::array<std::uint32_t, kMaxWordBytes> entries{};
+    std::vector<std::byte> streams;
+    double error_made = 0;
+    std::vector<std::byte> decoded;  // where it differs from what was given
+
+    std::size_t bytes() const { return parameters.size() + width * sizeof(std::uint32_t) + streams.size(); }
+};
+
+template <class W>
+void appendPlanes(const std::vector<W>& words, Candidate& candidate) {
+    thread_local std::vector<std::byte> plane;
+    plane.resize(words.size());
+    for (std::size_t j = 0; j < sizeof(W); ++j) {
+        for (std::size_t i = 0; i < words.size(); ++i)
+            plane[i] = std::byte(std::uint8_t(words[i] >> (8 * j)));
+        candidate.entries[j] = appendStream(plane, candidate.streams);
+    }
+}
+
+// Stores `words` (planar, all components) with the predictor that makes them smaller.
+template <class W>
+Candidate packWords(PayloadEncoding encoding, std::vector<W> words, BrickShape shape, int components) {
+    Candidate plain;
+    plain.encoding = encoding;
+    plain.width = sizeof(W);
+    appendPlanes(words, plain);
+
+    Candidate predicted;
+    predicted.encoding = encoding;
+    predicted.predictor = PayloadPredictor::kLorenzo;
+    predicted.width = sizeof(W);
+    for (std::size_t c = 0; c < std::size_t(components); ++c)
+        subtractPrediction(words.data() + c * shape.samples(), std::size_t(shape.edgeSamples()));
+    appendPlanes(words, predicted);
+    return predicted.bytes() < plain.bytes() ? predicted : plain;
+}
+
+// Range of one component, and whether it has one.
+template <class T>
+struct Range {
+    T min, max;
+    bool finite = true;     // no NaN, no infinity; always so for integers
+    bool one_value = true;  // bit for bit
+};
+
+template <class T>
+Range<T> rangeOf(const T* values, std::size_t n) {
+    Range<T> range{values[0], values[0]};
+    // Eight independent chains, because the order of floating-point comparisons may not be changed for us.
+    constexpr std::size_t kLanes = 8;
+    std::array<T, kLanes> low, high;
+    low.fill(values[0]);
+    high.fill(values[0]);
+    bool finite = true;
+    for (std::size_t i = 0; i < n; i += kLanes) {
+        const T* const group = values + std::min(i, n - kLanes);  // the last group overlaps the one before
+        for (std::size_t k = 0; k < kLanes; ++k) {
+            low[k] = group[k] < low[k] ? group[k] : low[k];
+            high[k] = group[k] > high[k] ? group[k] : high[k];
+        }
+    }
+    for (std::size_t k = 0; k < kLanes; ++k) {
+        range.min = std::min(range.min, low[k]);
+        range.max = std::max(range.max, high[k]);
+    }
+    if constexpr (std::is_floating_point_v<T>) {
+        constexpr T kMax = std::numeric_limits<T>::max();
+        for (std::size_t i = 0; i < n; ++i) finite &= (values[i] >= -kMax) & (values[i] <= kMax);
+    }
+    range.finite = finite;
+    range.one_value = std::memcmp(values, values + 1, (n - 1) * sizeof(T)) == 0;
+    return range;
+}
+
+template <class T>
+ValueBits bitsOf(T value) {
+    if constexpr (sizeof(T) == 1) return std::uint8_t(value);
+    if constexpr (sizeof(T) == 4) return std::bit_cast<std::uint32_t>(value);
+    if constexpr (sizeof(T) == 8) return std::bit_cast<std::uint64_t>(value);
+}
+
+template <class T>
+Candidate constantCandidate(const std::array<T, kMaxComponents>& value, std::size_t components) {
+    Candidate candidate;
+    ByteWriter parameters(candidate.parameters);
+    for (std::size_t c = 0; c < components; ++c) parameters.put(value[c]);
+    return candidate;
+}
+
+// One encoder for a brick whose samples are T (bools as uint8).
+template <class T>
+class Encoder {
+public:
+    Encoder(const BrickToEncode& brick, const T* values)
+        : brick_(brick),
+          values_(values),
+          n_(brick.shape.samples()),
+          components_(std::size_t(brick.components)) {
+        for (std::size_t c = 0; c < components_; ++c) {
+            ranges_[c] = rangeOf(values_ + c * n_, n_);
+            finite_ = finite_ && ranges_[c].finite;
+            one_value_ = one_value_ && ranges_[c].one_value;
+        }
+    }
+
+    Candidate best() const {
+        if (one_value_) {
+            std::array<T, kMaxComponents> value{};
+            for (std::size_t c = 0; c < components_; ++c) value[c] = values_[c * n_];
+            return constantCandidate(value, components_);
+        }
+        if constexpr (std::is_floating_point_v<T>) {
+            // NaN and infinity have no distance to anything: they go through bit for bit.
+            if (brick_.max_error > 0 && finite_) {
+                if (auto near = nearConstant(); near.width == 0 && !near.parameters.empty()) return near;
+                Candidate quantised = this->quantised();
+                if (quantised.width == 0) return lossless();
+                // Noisy mantissas do not come below half their bytes, so lossless is tried only beside a weak
+                // quantisation, or where the source saved halves.
+                if (quantised.bytes() * 2 > count() * sizeof(T) ||
+                    (quantised.width > 1 && floatWidth() == 2)) {
+                    Candidate exact = lossless();
+                    if (exact.bytes() <= quantised.bytes()) return exact;
+                }
+                return quantised;
+            }
+        }
+        return lossless();
+    }
+
+private:
+    std::size_t count() const { return n_ * components_; }
+
+    // The least bytes that hold every value exactly as an IEEE number.
+    std::size_t floatWidth() const
+        requires std::is_floating_point_v<T>
+    {
+        bool all_float = true;
+        if constexpr (sizeof(T) == 8) {
+            // -FLT_MAX to FLT_MAX first: beyond it the conversion is not defined.
+            constexpr T kMax = std::numeric_limits<float>::max();
+            for (std::size_t i = 0; i < count() && all_float; ++i)
+                all_float = values_[i] >= -kMax && values_[i] <= kMax &&
+                            bitsOf(T(float(values_[i]))) == bitsOf(values_[i]);
+            if (!all_float) return 8;
+        }
+        // Most sources do not store halves and show it in their first samples.
+        constexpr std::size_t kChunk = 256;
+        for (std::size_t begin = 0; begin < count(); begin += kChunk) {
+            bool all_half = true;
+            for (std::size_t i = begin; i < std::min(begin + kChunk, count()); ++i)
+                all_half &= isHalf(float(values_[i]));
+            if (!all_half) return 4;
+        }
+        return 2;
+    }
+
+    template <class W>
+    Candidate losslessAs() const {
+        std::vector<W> words(count());
+        if constexpr (std::is_floating_point_v<T>) {
+            for (std::size_t i = 0; i < words.size(); ++i) {
+                if constexpr (sizeof(W) == 2) {
+                    words[i] = orderedFromBits(halfFromFloat(float(values_[i])));
+                } else if constexpr (sizeof(W) == sizeof(T)) {
+                    W bits;
+                    std::memcpy(&bits, values_ + i, sizeof(W));
+                    words[i] = orderedFromBits(bits);
+                } else if constexpr (sizeof(W) == 4) {
+                    words[i] = orderedFromBits(std::bit_cast<std::uint32_t>(float(values_[i])));
+                }
+            }
+            return packWords(PayloadEncoding::kLossless, std::move(words), brick_.shape, brick_.components);
+        } else {
+            using Unsigned = std::make_unsigned_t<T>;
+            for (std::size_t c = 0; c < components_; ++c)
+                for (std::size_t i = c * n_; i < (c + 1) * n_; ++i)
+                    words[i] = W(Unsigned(Unsigned(values_[i]) - offset(c)));
+            Candidate candidate =
+                packWords(PayloadEncoding::kLossless, std::move(words), brick_.shape, brick_.components);
+            if constexpr (sizeof(T) > 1) {
+                ByteWriter parameters(candidate.parameters);
+                for (std::size_t c = 0; c < components_; ++c) parameters.put(offset(c));
+            }
+            return candidate;
+        }
+    }
+
+    // What is subtracted from integers so that they fit fewer bytes. Bools need none.
+    auto offset(std::size_t c) const {
+        return std::make_unsigned_t<T>(sizeof(T) == 1 ? T(0) : ranges_[c].min);
+    }
+
+    Candidate lossless() const {
+        if constexpr (std::is_floating_point_v<T>) {
+            switch (floatWidth()) {
+                case 2: return losslessAs<std::uint16_t>();
+                case 4: return losslessAs<std::uint32_t>();
+                default: return losslessAs<std::uint64_t>();
+            }
+        } else {
+            std::uint64_t span = 0;
+            for (std::size_t c = 0; c < components_; ++c)
+                span = std::max(span, std::uint64_t(std::make_unsigned_t<T>(
+                                          std::make_unsigned_t<T>(ranges_[c].max) - offset(c))));
+            if (span <= 0xff || sizeof(T) == 1) return losslessAs<std::uint8_t>();
+            if (span <= 0xffff) return losslessAs<std::uint16_t>();
+            if (span <= 0xffffffffu || sizeof(T) == 4) return losslessAs<std::uint32_t>();
+            return losslessAs<std::uint64_t>();
+        }
+    }
+
+    // One value within the error of all samples: the background where that will do, else the middle of the
+    // range. Without parameters where there is none.
+    Candidate nearConstant() const
+        requires std::is_floating_point_v<T>
+    {
+        std::array<T, kMaxComponents> value{};
+        double error = 0;
+        const auto deviation = [&](std::size_t c, T candidate) {
+            return std::max(std::abs(double(ranges_[c].max) - double(candidate)),
+                            std::abs(double(ranges_[c].min) - double(candidate)));
+        };
+        for (std::size_t c = 0; c < components_; ++c) {
+            value[c] = T(toDouble(brick_.type, brick_.background[c]));
+            // Not finite, or too far; halves are added, because the sum of two doubles may overflow.
+            if (!(deviation(c, value[c]) <= brick_.max_error))
+                value[c] = T(double(ranges_[c].min) * 0.5 + double(ranges_[c].max) * 0.5);
+            if (!(deviation(c, value[c]) <= brick_.max_error)) return {};
+            error = std::max(error, deviation(c, value[c]));
+        }
+        Candidate candidate = constantCandidate(value, components_);
+        candidate.error_made = error;
+        candidate.decoded.resize(count() * sizeof(T));
+        T* const decoded = reinterpret_cast<T*>(candidate.decoded.data());
+        for (std::size_t c = 0; c < components_; ++c) std::fill_n(decoded + c * n_, n_, value[c]);
+        return candidate;
+    }
+
+    // Largest deviation is measured, not derived: rounding to the sample's type adds to half a step. The
+    // first step leaves room for it. All bricks of a channel try the same steps, so that neighbours mostly
+    // share one and agree on the samples they share.
+    Candidate quantised() const
+        requires std::is_floating_point_v<T>
+    {
+        for (const double steps_per_error : {2 - 0x1p-9, 2 - 0x1p-4, 1.5, 1.0}) {
+            const double step = brick_.max_error * steps_per_error;
+            // Step or its inverse may be denormal or infinite: the sizes below are then no numbers to count
+            // on.
+            const double inverse = 1 / step;
+            if (!std::isfinite(step) || !std::isfinite(inverse)) continue;
+
+            std::array<double, kMaxComponents> base{};
+            double q_max = 0;
+            bool fits = true;
+            for (std::size_t c = 0; c < components_; ++c) {
+                const double low = double(ranges_[c].min) * inverse, high = double(ranges_[c].max) * inverse;
+                // Above this the rounding trick below fails, and so would the sum of base and q.
+                fits = fits && std::abs(low) < kRoundable && std::abs(high) < kRoundable;
+                base[c] = rounded(low);
+                q_max = std::max(q_max, rounded(high) - base[c]);
+            }
+            if (!fits || q_max > double(0xffffffffu)) continue;
+            Candidate candidate = q_max <= 0xff     ? quantisedAs<std::uint8_t>(step, inverse, base)
+                                  : q_max <= 0xffff ? quantisedAs<std::uint16_t>(step, inverse, base)
+                                                    : quantisedAs<std::uint32_t>(step, inverse, base);
+            if (candidate.width != 0) return candidate;
+        }
+        return {};
+    }
+
+    static constexpr double kRoundable = 0x1p50;
+    // To the nearest integer, for |x| <= kRoundable: doubles near 1.5 * 2^52 are one apart.
+    static double rounded(double x) { return (x + 0x1.8p52) - 0x1.8p52; }
+
+    // Width 0 where the error is too large or the format forbids the numbers.
+    template <class W>
+    Candidate quantisedAs(double step, double inverse, const std::array<double, kMaxComponents>& base) const
+        requires std::is_floating_point_v<T>
+    {
+        for (std::size_t c = 0; c < components_; ++c)
+            if (!isQuantiser(brick_.type, sizeof(W), step, std::int64_t(base[c]))) return {};
+
+        using Integer = std::conditional_t<sizeof(W) < 4, std::int32_t, std::int64_t>;
+        std::vector<W> words(count());
+        std::vector<std::byte> decoded(count() * sizeof(T));
+        T* const samples = reinterpret_cast<T*>(decoded.data());
+        double error = 0;
+        for (std::size_t c = 0; c < components_; ++c) {
+            const T* const values = values_ + c * n_;
+            W* const q = words.data() + c * n_;
+            for (std::size_t i = 0; i < n_; ++i)
+                q[i] = W(Integer(rounded(double(values[i]) * inverse) - base[c]));
+            for (std::size_t i = 0; i < n_; ++i) samples[c * n_ + i] = T(dequantised(q[i], step, base[c]));
+            error = std::max(error, largestDeviation(values, samples + c * n_));
+        }
+        if (!(error <= brick_.max_error)) return {};
+
+        Candidate candidate =
+            packWords(PayloadEncoding::kQuantised, std::move(words), brick_.shape, brick_.components);
+        ByteWriter parameters(candidate.parameters);
+        parameters.put(step);
+        for (std::size_t c = 0; c < components_; ++c) parameters.put(std::int64_t(base[c]));
+        candidate.error_made = error;
+        candidate.decoded = std::move(decoded);
+        return candidate;
+    }
+
+    double largestDeviation(const T* a, const T* b) const {
+        constexpr std::size_t kLanes = 8;
+        std::array<double, kLanes> largest{};
+        for (std::size_t i = 0; i < n_; i += kLanes) {
+            const std::size_t at = std::min(i, n_ - kLanes);
+            for (std::size_t k = 0; k < kLanes; ++k) {
+                const double deviation = std::abs(double(a[at + k]) - double(b[at + k]));
+                largest[k] = deviation > largest[k] ? deviation : largest[k];
+            }
+        }
+        return *std::max_element(largest.begin(), largest.end());
+    }
+
+    const BrickToEncode& brick_;
+    const T* values_;
+    std::size_t n_;
+    std::size_t components_;
+    std::array<Range<T>, kMaxComponents> ranges_{};
+    bool finite_ = true;
+    bool one_value_ = true;
+};
+
+Candidate bestCandidate(const BrickToEncode& brick) {
+    const std::byte* const values = brick.values.data();
+    switch (brick.type) {
+        case SampleType::kFloat32:
+            return Encoder<float>(brick, reinterpret_cast<const float*>(values)).best();
+        case SampleType::kFloat64:
+            return Encoder<double>(brick, reinterpret_cast<const double*>(values)).best();
+        case SampleType::kInt32:
+            return Encoder<std::int32_t>(brick, reinterpret_cast<const std::int32_t*>(values)).best();
+        case SampleType::kInt64:
+            return Encoder<std::int64_t>(brick, reinterpret_cast<const std::int64_t*>(values)).best();
+        case SampleType::kBool: break;
+    }
+    return Encoder<std::uint8_t>(brick, reinterpret_cast<const std::uint8_t*>(values)).best();
+}
+
+// States as the payload keeps them; `mask` receives the bits where nothing cheaper tells them.
+PayloadActivity activityOf(const BrickToEncode& brick, std::span<const std::byte> decoded,
+                           std::vector<std::byte>& mask) {
+    if (brick.active.empty()) return PayloadActivity::kNotKept;
+    const auto isActive = [](std::uint8_t state) { return state != 0; };
+    if (std::none_of(brick.active.begin(), brick.active.end(), isActive)) return PayloadActivity::kNoneActive;
+    if (std::all_of(brick.active.begin(), brick.active.end(), isActive)) return PayloadActivity::kAllActive;
+
+    // A reader compares what it decodes, so the writer does too.
+    const auto by_background =
+        statesByBackground(decoded, brick.shape, brick.type, brick.components, brick.background);
+    if (std::equal(brick.active.begin(), brick.active.end(), by_background.begin(),
+                   [](std::uint8_t a, std::uint8_t b) { return (a != 0) == (b != 0); }))
+        return PayloadActivity::kDiffersFromBackground;
+
+    mask.assign(brick.active.size() / 8, std::byte{0});
+    for (std::size_t i = 0; i < brick.active.size(); ++i)
+        mask[i / 8] |= std::byte(std::uint8_t((brick.active[i] != 0 ? 1u : 0u) << (i % 8)));
+    return PayloadActivity::kMask;
+}
+
+}  // namespace
+
+EncodedBrick encodeBrick(const BrickToEncode& given) {
+    BrickToEncode brick = given;
+    // The loops read samples as numbers, which the caller's bytes may not be aligned for.
+    std::vector<std::byte> aligned;
+    if (reinterpret_cast<std::uintptr_t>(brick.values.data()) % sampleBytes(brick.type) != 0) {
+        aligned.assign(brick.values.begin(), brick.values.end());
+        brick.values = aligned;
+    }
+    assert(isBrickEdge(brick.shape.edge_cells));
+    assert(brick.components >= 1 && brick.components <= kMaxComponents);
+    assert(brick.values.size() ==
+           brick.shape.samples() * std::size_t(brick.components) * sampleBytes(brick.type));
+    assert(brick.active.empty() || brick.active.size() == brick.shape.cells());
+    assert(brick.background.size() >= std::size_t(brick.components));
+    assert(brick.max_error >= 0);
+
+    Candidate candidate = bestCandidate(brick);
+    const auto decoded =
+        candidate.decoded.empty() ? brick.values : std::span<const std::byte>(candidate.decoded);
+    std::vector<std::byte> mask;
+    const PayloadActivity activity = activityOf(brick, decoded, mask);
+    std::uint32_t mask_entry = 0;
+    if (!mask.empty()) mask_entry = appendStream(mask, candidate.streams);
+
+    EncodedBrick encoded;
+    encoded.error_made = candidate.error_made;
+    encoded.payload.reserve(16 + candidate.bytes());
+    ByteWriter payload(encoded.payload);
+    payload.put(kPayloadVersion);
+    payload.put(candidate.encoding);
+    payload.put(std::uint8_t(candidate.width));
+    payload.put(candidate.predictor);
+    payload.put(activity);
+    payload.putBytes(candidate.parameters);
+    for (std::size_t j = 0; j < candidate.width; ++j) payload.put(candidate.entries[j]);
+    if (!mask.empty()) payload.put(mask_entry);
+    payload.putBytes(candidate.streams);
+    return encoded;
+}
+
+}  // namespace brickyard

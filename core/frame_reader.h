@@ -1,0 +1,42 @@
+// Pages of one open frame by their address: what a server or a local source needs to answer a wish. Any
+// thread.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "core/block_cache.h"
+#include "core/brick_store.h"
+#include "core/page_address.h"
+#include "core/result.h"
+
+namespace brickyard {
+
+class FrameReader {
+public:
+    // `blocks` may be shared by many frames.
+    FrameReader(std::shared_ptr<const BrickStore> store, std::shared_ptr<BlockCache> blocks);
+
+    const BrickStore& store() const { return *store_; }
+    const FrameFooter& footer() const { return store_->footer(); }
+
+    // Errors: kNotFound (no such channel or block), kCorrupt, kIo.
+    Result<std::shared_ptr<const TreeBlock>> block(std::uint32_t channel, std::uint32_t block) const;
+    // Size of a block as stored, without reading it. Errors: kNotFound.
+    Result<std::uint32_t> storedBlockBytes(std::uint32_t channel, std::uint32_t block) const;
+    // The record of a brick. Errors: kNotFound (no such channel, block or node, or a node of one value),
+    // kCorrupt, kIo.
+    Result<NodeRecord> findBrick(const PageAddress& page) const;
+    // Stored bytes, neither decoded nor verified. Errors: kCorrupt (outside the file), kIo.
+    Result<std::vector<std::byte>> readBrick(const NodeRecord& record) const {
+        return store_->readPayloadUnchecked(record);
+    }
+
+private:
+    std::shared_ptr<const BrickStore> store_;
+    std::shared_ptr<BlockCache> blocks_;
+    std::uint64_t frame_id_;
+};
+
+}  // namespace brickyard

@@ -1,0 +1,130 @@
+#include "core/payload_format.h"
+
+#include <fmt/format.h>
+
+#include <cmath>
+#include <limits>
+
+#include "core/byte_io.h"
+
+namespace brickyard {
+namespace {
+
+bool isWidth(PayloadEncoding encoding, SampleType type, std::size_t width) {
+    const bool power_of_two = width == 1 || width == 2 || width == 4 || width == 8;
+    switch (encoding) {
+        case PayloadEncoding::kConstant: return width == 0;
+        case PayloadEncoding::kQuantised: return isFloating(type) && power_of_two && width <= 4;
+        case PayloadEncoding::kLossless:
+            return power_of_two && width <= sampleBytes(type) && !(isFloating(type) && width == 1);
+    }
+    return false;
+}
+
+bool isInteger(SampleType type) { return type == SampleType::kInt32 || type == SampleType::kInt64; }
+
+ValueBits readValue(ByteReader& reader, SampleType type) {
+    switch (sampleBytes(type)) {
+        case 1: return reader.get<std::uint8_t>();
+        case 4: return reader.get<std::uint32_t>();
+        default: return reader.get<std::uint64_t>();
+    }
+}
+
+// The entry now, its bytes later: they follow all entries.
+PayloadStream readEntry(ByteReader& reader, std::uint32_t& bytes) {
+    const auto entry = reader.get<std::uint32_t>();
+    bytes = entry & ((1u << kStreamModeShift) - 1);
+    return {StreamMode(entry >> kStreamModeShift), {}};
+}
+
+bool isStream(const PayloadStream& stream) {
+    switch (stream.mode) {
+        case StreamMode::kUniform: return stream.stored.size() == 1;
+        case StreamMode::kStored:
+        case StreamMode::kZstd:
+            return true;  // their lengths are compared with the brick's when they are read
+    }
+    return false;
+}
+
+tl::unexpected<Error> corrupt(std::string message) {
+    return fail(ErrorCode::kCorrupt, message + "; convert this frame again");
+}
+
+}  // namespace
+
+bool isQuantiser(SampleType type, std::size_t width, double step, std::int64_t base) {
+    if (!std::isfinite(step) || step < 0 || base < -kMaxQuantiserBase || base > kMaxQuantiserBase)
+        return false;
+    const double q_max = width == 1 ? 0xff : width == 2 ? 0xffff : 0xffffffffu;
+    const double largest = std::max(std::abs(double(base)), std::abs(double(base) + q_max));
+    const double limit = type == SampleType::kFloat32 ? double(std::numeric_limits<float>::max())
+                                                      : std::numeric_limits<double>::max();
+    return step * largest <= limit;
+}
+
+Result<PayloadParts> parsePayload(std::span<const std::byte> payload, SampleType type, int components) {
+    ByteReader reader(payload);
+    PayloadParts parts;
+    const auto version = reader.get<std::uint8_t>();
+    if (!payload.empty() && version != kPayloadVersion)
+        return corrupt(fmt::format("payload version {} is none that this reader knows", version));
+
+    // An enumeration read from a file may hold any number: `isWidth` and the two comparisons below refuse the
+    // unknown.
+    parts.encoding = PayloadEncoding(reader.get<std::uint8_t>());
+    parts.width = reader.get<std::uint8_t>();
+    parts.predictor = PayloadPredictor(reader.get<std::uint8_t>());
+    parts.activity = PayloadActivity(reader.get<std::uint8_t>());
+    if (!reader.ok())
+        return corrupt(fmt::format("payload of {} bytes ends within its header", payload.size()));
+    if (!isWidth(parts.encoding, type, parts.width) || parts.predictor > PayloadPredictor::kLorenzo ||
+        parts.activity > PayloadActivity::kMask ||
+        (parts.encoding == PayloadEncoding::kConstant && parts.predictor != PayloadPredictor::kNone))
+        return corrupt(fmt::format(
+            "payload with encoding {}, width {}, predictor {}, activity {} cannot be {}", int(parts.encoding),
+            parts.width, int(parts.predictor), int(parts.activity), toString(type)));
+
+    // Parameters of the encoding.
+    const auto n = std::size_t(components);
+    if (parts.encoding == PayloadEncoding::kConstant) {
+        for (std::size_t c = 0; c < n; ++c) {
+            parts.constant[c] = readValue(reader, type);
+            if (type == SampleType::kBool && parts.constant[c] > 1)
+                return corrupt("payload with a bool above 1");
+        }
+    } else if (parts.encoding == PayloadEncoding::kQuantised) {
+        parts.step = reader.get<double>();
+        for (std::size_t c = 0; c < n; ++c) {
+            parts.base[c] = reader.get<std::int64_t>();
+            if (!isQuantiser(type, parts.width, parts.step, parts.base[c]))
+                return corrupt(
+                    fmt::format("payload with quantiser step {}, base {}", parts.step, parts.base[c]));
+        }
+    } else if (isInteger(type)) {
+        for (std::size_t c = 0; c < n; ++c) parts.offset[c] = readValue(reader, type);
+    }
+
+    // Streams: all entries, then all bytes, to the payload's last.
+    std::array<std::uint32_t, kMaxWordBytes> plane_bytes{};
+    std::uint32_t mask_bytes = 0;
+    for (std::size_t j = 0; j < parts.width; ++j) parts.planes[j] = readEntry(reader, plane_bytes[j]);
+    const bool has_mask = parts.activity == PayloadActivity::kMask;
+    if (has_mask) parts.mask = readEntry(reader, mask_bytes);
+    bool sound = true;
+    for (std::size_t j = 0; j < parts.width; ++j) {
+        parts.planes[j].stored = reader.take(plane_bytes[j]);
+        sound = sound && isStream(parts.planes[j]);
+    }
+    if (has_mask) {
+        parts.mask.stored = reader.take(mask_bytes);
+        sound = sound && isStream(parts.mask);
+    }
+    if (!reader.ok() || reader.left() != 0 || !sound)
+        return corrupt(
+            fmt::format("payload of {} bytes, but its parts do not add up to that", payload.size()));
+    return parts;
+}
+
+}  // namespace brickyard

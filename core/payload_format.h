@@ -1,0 +1,64 @@
+// What a payload is, byte by byte: docs/format.md, section "Payload". Writing it: brick_encoder.cpp; reading
+// it: brick_decoder.cpp. None of the numbers below may change; a new meaning takes a new version byte.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+
+#include "core/brick_shape.h"
+#include "core/result.h"
+#include "core/sample_type.h"
+
+namespace brickyard {
+
+inline constexpr std::uint8_t kPayloadVersion = 1;
+
+enum class PayloadEncoding : std::uint8_t { kConstant = 0, kLossless = 1, kQuantised = 2 };
+enum class PayloadPredictor : std::uint8_t { kNone = 0, kLorenzo = 1 };
+enum class PayloadActivity : std::uint8_t {
+    kNotKept = 0,
+    kNoneActive = 1,
+    kAllActive = 2,
+    kDiffersFromBackground = 3,  // active where the bits of any component differ from the background's
+    kMask = 4,                   // one bit per owned voxel, x fastest, lowest bit first
+};
+
+// How a run of bytes of known length is stored. Its entry in the header: mode << 30 | stored bytes.
+enum class StreamMode : std::uint8_t { kUniform = 0, kStored = 1, kZstd = 2 };
+inline constexpr unsigned kStreamModeShift = 30;
+struct PayloadStream {
+    StreamMode mode = StreamMode::kUniform;
+    std::span<const std::byte> stored;  // kUniform: the one byte that repeats
+};
+
+inline constexpr int kMaxComponents = 3;
+inline constexpr std::size_t kMaxWordBytes = 8;
+
+// Quantised samples are step * (base + q) in double precision, then rounded to the sample's type. With |base|
+// and q below 2^52 the sum is exact, so bricks that share a step agree on shared samples, and 0 is always
+// among the values.
+inline constexpr std::int64_t kMaxQuantiserBase = std::int64_t(1) << 52;
+// Whether no value that `width` bytes can mean leaves the finite range of `type`.
+bool isQuantiser(SampleType type, std::size_t width, double step, std::int64_t base);
+
+// A payload taken apart, its numbers checked; the streams are not decompressed yet.
+struct PayloadParts {
+    PayloadEncoding encoding = PayloadEncoding::kConstant;
+    PayloadPredictor predictor = PayloadPredictor::kNone;
+    PayloadActivity activity = PayloadActivity::kNotKept;
+    std::size_t width = 0;                             // bytes of a stored word; 0 for kConstant
+    std::array<ValueBits, kMaxComponents> constant{};  // kConstant
+    std::array<std::uint64_t, kMaxComponents>
+        offset{};     // kLossless integers: word = value - offset, modulo 2^64
+    double step = 0;  // kQuantised
+    std::array<std::int64_t, kMaxComponents> base{};  // kQuantised
+    std::array<PayloadStream, kMaxWordBytes> planes;  // byte j of all words, lowest first; `width` of them
+    PayloadStream mask;                               // kMask
+};
+
+// Errors: kCorrupt, without the place.
+Result<PayloadParts> parsePayload(std::span<const std::byte> payload, SampleType type, int components);
+
+}  // namespace brickyard

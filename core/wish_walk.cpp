@@ -1,0 +1,126 @@
+#include "core/wish_walk.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <unordered_set>
+
+namespace brickyard {
+namespace {
+
+// Several channels of one view: each keeps its own order, and the one that has had the fewest bytes goes
+// next.
+std::vector<WishedPage> interleave(const std::vector<std::vector<DescentStep>>& channels) {
+    std::vector<WishedPage> pages;
+    std::vector<std::size_t> next(channels.size(), 0);
+    std::vector<std::uint64_t> bytes(channels.size(), 0);
+    for (;;) {
+        std::size_t best = channels.size();
+        for (std::size_t c = 0; c < channels.size(); ++c)
+            if (next[c] < channels[c].size() && (best == channels.size() || bytes[c] < bytes[best])) best = c;
+        if (best == channels.size()) return pages;
+        const DescentStep& step = channels[best][next[best]++];
+        bytes[best] += step.bytes;
+        pages.push_back({step.is_block, step.page});
+    }
+}
+
+}  // namespace
+
+Result<WishWalk> WishWalk::create(std::shared_ptr<const FrameReader> frame, PageWish wish) {
+    wish.credit_bytes = std::min(wish.credit_bytes, kMaxWishBytes);
+    // A block has no node number: the same block must always have the same address.
+    for (WishedPage& page : wish.pages)
+        if (page.is_block) page.address.node = 0;
+    WishWalk walk(std::move(frame), std::move(wish));
+    for (CameraView& view : walk.wish_.views) {
+        auto camera = PinholeCamera::create(view.camera, view.width, view.height);
+        if (!camera) return tl::unexpected(camera.error());
+        walk.cameras_.push_back(*camera);
+        // A channel named twice would be sent twice.
+        std::sort(view.channels.begin(), view.channels.end());
+        view.channels.erase(std::unique(view.channels.begin(), view.channels.end()), view.channels.end());
+        const auto channels = std::uint32_t(walk.frame_->footer().channels_size());
+        if (!view.channels.empty() && view.channels.back() >= channels)
+            return fail(ErrorCode::kInvalid,
+                        fmt::format("view: no channel {}; the frame has {}", view.channels.back(), channels));
+    }
+    return walk;
+}
+
+std::optional<WishWalk::Step> WishWalk::next() {
+    for (;;) {
+        if (credit_exhausted_) return std::nullopt;
+        if (next_page_ < wish_.pages.size()) return read(wish_.pages[next_page_++]);
+        if (failure_) {
+            auto failed = std::move(failure_);
+            failure_.reset();
+            return failed;
+        }
+        if (next_view_ == wish_.views.size()) return std::nullopt;
+        describeNextView();
+    }
+}
+
+void WishWalk::describeNextView() {
+    const CameraView& view = wish_.views[next_view_];
+    DescentLimits limits;
+    limits.pixels_per_voxel = view.pixels_per_voxel > 0 ? view.pixels_per_voxel : 1;
+    // One byte more than there is room for, so that running out of credit shows.
+    limits.max_bytes = wish_.credit_bytes - sent_bytes_ + 1;
+
+    std::vector<std::vector<DescentStep>> channels;
+    for (const std::uint32_t channel : view.channels) {
+        std::uint32_t failed_block = 0;
+        const auto load = [&](std::uint32_t block) {
+            auto loaded = frame_->block(channel, block);
+            if (!loaded) failed_block = block;
+            return loaded;
+        };
+        auto steps = describeView(cameras_[next_view_], frame_->footer().channels(int(channel)), channel,
+                                  int(frame_->footer().brick_edge()), load, limits);
+        if (steps)
+            channels.push_back(std::move(*steps));
+        else
+            failure_ = Step{{true, {channel, failed_block, 0}}, tl::unexpected(steps.error())};
+    }
+    auto pages = interleave(channels);
+    // What the list has sent already is not sent again.
+    if (!wish_.pages.empty()) {
+        std::unordered_set<PageAddress, PageAddressHash> listed_blocks, listed_bricks;
+        for (const WishedPage& page : wish_.pages)
+            (page.is_block ? listed_blocks : listed_bricks).insert(page.address);
+        std::erase_if(pages, [&](const WishedPage& page) {
+            return (page.is_block ? listed_blocks : listed_bricks).contains(page.address);
+        });
+    }
+    wish_.pages = std::move(pages);
+    next_page_ = 0;
+    ++next_view_;
+}
+
+std::optional<WishWalk::Step> WishWalk::read(const WishedPage& page) {
+    // Sizes are known before the bytes are read, so nothing is read that will not be sent.
+    std::uint32_t bytes = 0;
+    NodeRecord record;
+    if (page.is_block) {
+        const auto stored = frame_->storedBlockBytes(page.address.channel, page.address.block);
+        if (!stored) return Step{page, tl::unexpected(stored.error())};
+        bytes = *stored;
+    } else {
+        const auto found = frame_->findBrick(page.address);
+        if (!found) return Step{page, tl::unexpected(found.error())};
+        record = *found;
+        bytes = record.payload_bytes;
+    }
+    if (bytes > wish_.credit_bytes - sent_bytes_) {
+        credit_exhausted_ = true;
+        return std::nullopt;
+    }
+    auto read = page.is_block ? frame_->store().readBlock(page.address.channel, page.address.block)
+                              : frame_->readBrick(record);
+    if (read) sent_bytes_ += read->size();
+    return Step{page, std::move(read)};
+}
+
+}  // namespace brickyard

@@ -1,0 +1,55 @@
+// Answers one wish over one frame, page by page, in the order of the wish and within its credit. Whoever
+// answers (a server, a local source) asks for the next step when it has room for one. One thread at a time.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "core/frame_reader.h"
+#include "core/page_wish.h"
+#include "core/result.h"
+#include "core/view_descent.h"
+
+namespace brickyard {
+
+// More credit than this counts as this: it bounds the list that a view becomes.
+inline constexpr std::uint64_t kMaxWishBytes = 4ull << 30;
+
+class WishWalk {
+public:
+    struct Step {
+        WishedPage page;
+        Result<std::vector<std::byte>> bytes;  // stored bytes; or why this page cannot be had
+    };
+
+    // Errors: kInvalid (a view whose camera cannot be, or whose channels do not exist).
+    static Result<WishWalk> create(std::shared_ptr<const FrameReader> frame, PageWish wish);
+
+    // The next page; nothing when all are sent or when the next one is more than the credit that is left:
+    // pages are not skipped for smaller ones behind them. Reads from the disk. A page that cannot be had
+    // costs no credit.
+    std::optional<Step> next();
+
+    // After next() gave nothing: whether that was for lack of credit.
+    bool creditExhausted() const { return credit_exhausted_; }
+    std::uint64_t sentBytes() const { return sent_bytes_; }
+
+private:
+    WishWalk(std::shared_ptr<const FrameReader> frame, PageWish wish)
+        : frame_(std::move(frame)), wish_(std::move(wish)) {}
+    void describeNextView();
+    std::optional<Step> read(const WishedPage& page);
+
+    std::shared_ptr<const FrameReader> frame_;
+    PageWish wish_;
+    std::size_t next_page_ = 0;
+    std::size_t next_view_ = 0;
+    std::vector<PinholeCamera> cameras_;  // one per view
+    std::optional<Step> failure_;         // a view's block that could not be read
+    std::uint64_t sent_bytes_ = 0;        // Invariant: at most wish_.credit_bytes
+    bool credit_exhausted_ = false;
+};
+
+}  // namespace brickyard

@@ -1,0 +1,89 @@
+// The command as a shell sees it: what it prints where, and its exit status.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+
+#include <cstdio>
+#include <fstream>
+#include <sstream>
+#include <string>
+
+namespace brickyard {
+namespace {
+
+using testing::HasSubstr;
+using testing::StartsWith;
+
+struct Outcome {
+    int status = -1;
+    std::string out;
+    std::string err;
+};
+
+std::string readFile(const std::string& path) {
+    std::ostringstream text;
+    text << std::ifstream(path, std::ios::binary).rdbuf();
+    return text.str();
+}
+
+Outcome brickyard(const std::string& arguments) {
+    const std::string base = testing::TempDir() + "command_line_test." + std::to_string(getpid());
+    const std::string line = std::string("'") + BRICKYARD_COMMAND + "' " + arguments + " >'" + base +
+                             ".out' 2>'" + base + ".err' </dev/null";
+    const int status = std::system(line.c_str());
+    Outcome outcome{WIFEXITED(status) ? WEXITSTATUS(status) : -1, readFile(base + ".out"),
+                    readFile(base + ".err")};
+    std::remove((base + ".out").c_str());
+    std::remove((base + ".err").c_str());
+    return outcome;
+}
+
+void expectOneLine(const std::string& text) {
+    EXPECT_FALSE(text.empty());
+    EXPECT_EQ(text.find('\n'), text.size() - 1) << text;
+}
+
+TEST(CommandLine, HelpNamesEveryCommandAndTheExitStatuses) {
+    const Outcome help = brickyard("--help");
+    EXPECT_EQ(help.status, 0);
+    EXPECT_EQ(help.err, "");
+    for (const char* word : {"convert", "info", "verify", "serve", "render", "--version", "Exit status"})
+        EXPECT_THAT(help.out, HasSubstr(word));
+}
+
+TEST(CommandLine, VersionIsOneLine) {
+    const Outcome version = brickyard("--version");
+    EXPECT_EQ(version.status, 0);
+    EXPECT_THAT(version.out, StartsWith("brickyard "));
+    expectOneLine(version.out);
+}
+
+TEST(CommandLine, EveryCommandHasHelp) {
+    for (const char* command : {"convert", "info", "verify", "serve", "render"}) {
+        const Outcome help = brickyard(std::string(command) + " --help");
+        EXPECT_EQ(help.status, 0) << command << ": " << help.err;
+        EXPECT_THAT(help.out, HasSubstr(command));
+    }
+}
+
+TEST(CommandLine, WrongUsageIsOneLineThatPointsToTheHelp) {
+    for (const char* arguments :
+         {"", "nonsense", "--nonsense", "info", "info --nonsense x", "info a.bricks b.bricks"}) {
+        const Outcome outcome = brickyard(arguments);
+        EXPECT_EQ(outcome.status, 2) << "brickyard " << arguments << ": " << outcome.err;
+        EXPECT_EQ(outcome.out, "");
+        expectOneLine(outcome.err);
+        EXPECT_THAT(outcome.err, HasSubstr("--help"));
+    }
+}
+
+TEST(CommandLine, AMissingDatasetIsOneLineThatNamesIt) {
+    const Outcome outcome = brickyard("info /nonexistent/plume.bricks");
+    EXPECT_EQ(outcome.status, 1) << outcome.err;
+    EXPECT_EQ(outcome.out, "");
+    expectOneLine(outcome.err);
+    EXPECT_THAT(outcome.err, HasSubstr("/nonexistent/plume.bricks"));
+}
+
+}  // namespace
+}  // namespace brickyard

@@ -1,0 +1,247 @@
+// `brickyard convert` and the hidden `brickyard probe-vdb`, which reads one file for it under limits.
+#include <fmt/format.h>
+#include <sys/resource.h>
+
+#include <charconv>
+#include <cmath>
+#include <cstdio>
+#include <nlohmann/json.hpp>
+
+#include "core/printable_name.h"
+#include "tools/command.h"
+#include "tools/conversion.h"
+#include "tools/importers/vdb_reader_guard.h"
+#include "tools/progress_line.h"
+
+namespace brickyard {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+struct ConvertArguments {
+    std::vector<std::string> paths;
+    std::string channels, memory, nonfinite = "reject";
+    std::vector<std::string> errors;
+    int brick = kDefaultBrickEdge;
+    unsigned jobs = 0;
+    bool append = false, overwrite = false, json = false;
+};
+
+// "0.01" or "density=0.01". A channel's name may contain '=': the last one counts.
+Result<std::pair<std::string, double>> parseErrorRequest(const std::string& text) {
+    const std::size_t equals = text.rfind('=');
+    const std::string name = equals == std::string::npos ? "" : text.substr(0, equals);
+    const std::string number = equals == std::string::npos ? text : text.substr(equals + 1);
+    double value = 0;
+    const auto parsed = std::from_chars(number.data(), number.data() + number.size(), value);
+    if (parsed.ec != std::errc() || parsed.ptr != number.data() + number.size() || !std::isfinite(value) ||
+        value < 0 || equals == 0)
+        return fail(ErrorCode::kInvalid,
+                    fmt::format("'{}' is no error; write a number from 0 up, or NAME=NUMBER", text));
+    return std::pair(name, value);
+}
+
+std::vector<std::string> splitNames(const std::string& text) {
+    std::vector<std::string> names;
+    for (std::size_t begin = 0; begin <= text.size();) {
+        const std::size_t end = std::min(text.find(',', begin), text.size());
+        if (end > begin) names.push_back(text.substr(begin, end - begin));
+        begin = end + 1;
+    }
+    return names;
+}
+
+const char* typeName(const ChannelSummary& channel) {
+    return toString(SampleType(int(channel.sample_type())));
+}
+
+// Channels over all frames: the same name is the same channel.
+struct ChannelTotal {
+    ChannelSummary all;
+    bool any_active = false;
+};
+std::vector<ChannelTotal> totalChannels(const std::vector<FrameEntry>& frames) {
+    std::vector<ChannelTotal> totals;
+    for (const FrameEntry& frame : frames)
+        for (const ChannelSummary& channel : frame.channels()) {
+            auto total = std::find_if(totals.begin(), totals.end(), [&](const ChannelTotal& other) {
+                return other.all.name() == channel.name();
+            });
+            const bool active = channel.active_voxels() > 0;
+            if (total == totals.end()) {
+                totals.push_back({channel, active});
+                continue;
+            }
+            ChannelSummary& all = total->all;
+            if (active) {
+                all.set_value_min(total->any_active ? std::min(all.value_min(), channel.value_min())
+                                                    : channel.value_min());
+                all.set_value_max(total->any_active ? std::max(all.value_max(), channel.value_max())
+                                                    : channel.value_max());
+                total->any_active = true;
+            }
+            all.set_active_voxels(all.active_voxels() + channel.active_voxels());
+            all.set_bricks(all.bricks() + channel.bricks());
+            all.set_levels(std::max(all.levels(), channel.levels()));
+            all.set_payload_bytes(all.payload_bytes() + channel.payload_bytes());
+            all.set_error_bound(std::max(all.error_bound(), channel.error_bound()));
+            all.set_error_made(std::max(all.error_made(), channel.error_made()));
+        }
+    return totals;
+}
+
+void printReport(const ConvertArguments& arguments, const std::filesystem::path& output,
+                 const ConversionReport& report) {
+    const std::vector<ChannelTotal> totals = totalChannels(report.frames);
+    std::uint64_t voxels = 0, bricks = 0, output_bytes = 0;
+    std::uint32_t levels = 0;
+    for (const ChannelTotal& total : totals) {
+        voxels += total.all.active_voxels();
+        bricks += total.all.bricks();
+        levels = std::max(levels, total.all.levels());
+    }
+    for (const FrameEntry& frame : report.frames) output_bytes += frame.file_bytes();
+
+    if (!arguments.json) {
+        const std::size_t there = report.frames.size() - report.converted;
+        fmt::print("{}: {} frame{}{}, {} channel{}, {} bricks, {} from {}, in {}\n", output.string(),
+                   report.frames.size(), report.frames.size() == 1 ? "" : "s",
+                   there > 0 ? fmt::format(" ({} there already)", there) : "", totals.size(),
+                   totals.size() == 1 ? "" : "s", bricks, describeBytes(output_bytes),
+                   describeBytes(report.input_bytes), describeSeconds(report.seconds));
+        return;
+    }
+    rusage usage{};
+    ::getrusage(RUSAGE_SELF, &usage);
+    Json channels = Json::array();
+    for (const auto& [channel, any_active] : totals)
+        channels.push_back({{"name", channel.name()},
+                            {"type", typeName(channel)},
+                            {"components", channel.components()},
+                            {"range", {channel.value_min(), channel.value_max()}},
+                            {"error_bound", channel.error_bound()},
+                            {"error_made", channel.error_made()},
+                            {"active_voxels", channel.active_voxels()},
+                            {"bricks", channel.bricks()},
+                            {"levels", channel.levels()},
+                            {"payload_bytes", channel.payload_bytes()},
+                            {"saved_as_half", channel.saved_as_half()}});
+    const Json all{{"dataset", validUtf8(output.string())},
+                   {"frames", report.frames.size()},
+                   {"frames_converted", report.converted},
+                   {"active_voxels", voxels},
+                   {"bricks", bricks},
+                   {"levels", levels},
+                   {"input_bytes", report.input_bytes},
+                   {"output_bytes", output_bytes},
+                   {"seconds", report.seconds},
+                   {"peak_memory_bytes", std::uint64_t(usage.ru_maxrss) * 1024},
+                   {"channels", channels}};
+    fmt::print("{}\n", all.dump(2));
+}
+
+int runConvert(const ConvertArguments& arguments) {
+    ConversionOptions options;
+    options.inputs.assign(arguments.paths.begin(), arguments.paths.end() - 1);
+    options.output = arguments.paths.back();
+    options.channels = splitNames(arguments.channels);
+    // Checked when the command line was parsed.
+    for (const std::string& text : arguments.errors) {
+        const auto [name, error] = *parseErrorRequest(text);
+        if (name.empty())
+            options.max_error = error;
+        else
+            options.channel_errors[name] = error;
+    }
+    options.brick_edge = arguments.brick;
+    if (!arguments.memory.empty()) options.memory_bytes = *parseSize(arguments.memory);
+    options.jobs = arguments.jobs;
+    options.nonfinite = arguments.nonfinite == "zero"    ? NonFinite::kZero
+                        : arguments.nonfinite == "clamp" ? NonFinite::kClamp
+                                                         : NonFinite::kReject;
+    options.existing = arguments.append      ? ExistingDataset::kAppend
+                       : arguments.overwrite ? ExistingDataset::kOverwrite
+                                             : ExistingDataset::kContinue;
+    options.note = [](const std::string& note) { fmt::print(stderr, "brickyard convert: {}\n", note); };
+    const auto report = convert(options);
+    if (!report) return reportError("convert", report.error());
+    printReport(arguments, options.output, *report);
+    return kExitDone;
+}
+
+void addProbeCommand(CLI::App& app, int& status) {
+    struct Arguments {
+        std::string file;
+        std::vector<std::string> channels;
+        std::uint64_t memory = 0;
+        std::int64_t seconds = 0;
+    };
+    const auto arguments = std::make_shared<Arguments>();
+    CLI::App* command = app.add_subcommand(kProbeCommand, "Read one .vdb file under limits")->group("");
+    command->add_option("file", arguments->file)->required();
+    command->add_option("--channel", arguments->channels)->allow_extra_args(false);
+    command->add_option("--memory", arguments->memory);
+    command->add_option("--seconds", arguments->seconds);
+    command->callback([arguments, &status] {
+        status = runVdbProbe(arguments->file, arguments->channels,
+                             {arguments->memory, std::chrono::seconds(arguments->seconds)});
+    });
+}
+
+}  // namespace
+
+void addConvertCommand(CLI::App& app, int& status) {
+    const auto arguments = std::make_shared<ConvertArguments>();
+    CLI::App* command = app.add_subcommand("convert", "Convert OpenVDB files to a dataset");
+    command
+        ->add_option(
+            "paths", arguments->paths,
+            "INPUT... OUT: .vdb files (or a quoted pattern), then the dataset folder to write, OUT.bricks.\n"
+            "The last digits of a file's name are its frame number; files of one number make one frame")
+        ->required()
+        ->expected(2, 1 << 24)
+        ->type_name("PATH");
+    command->add_option("--channel", arguments->channels, "Only these grids, separated by commas")
+        ->type_name("A,B");
+    command
+        ->add_option(
+            "--error", arguments->errors,
+            "Largest error of a value, for all floating channels or (NAME=E) for one; default 0, exact")
+        ->allow_extra_args(false)
+        ->type_name("[NAME=]E")
+        ->check([](const std::string& text) {
+            const auto parsed = parseErrorRequest(text);
+            return parsed ? std::string() : parsed.error().message;
+        });
+    command->add_option("--brick", arguments->brick, "Cells per brick edge: 8, 16, 32 or 64")
+        ->check(CLI::IsMember({8, 16, 32, 64}))
+        ->type_name("N")
+        ->capture_default_str();
+    command
+        ->add_option("--memory", arguments->memory,
+                     "What reading one file may take, for example 16G (at least 2G)")
+        ->type_name("SIZE")
+        ->check([](const std::string& text) {
+            const auto parsed = parseSize(text);
+            return parsed ? std::string() : parsed.error().message;
+        });
+    command->add_option("--jobs", arguments->jobs, "Threads; default one per processor")
+        ->check(CLI::Range(1u, 1024u))
+        ->type_name("N");
+    command
+        ->add_option("--nonfinite", arguments->nonfinite,
+                     "What becomes of NaN and infinity: reject, zero or clamp")
+        ->check(CLI::IsMember({"reject", "zero", "clamp"}))
+        ->type_name("HOW")
+        ->capture_default_str();
+    CLI::Option* append =
+        command->add_flag("--append", arguments->append, "Add new frames to an existing dataset");
+    command
+        ->add_flag("--overwrite", arguments->overwrite, "Replace an existing dataset, in one step at the end")
+        ->excludes(append);
+    command->add_flag("--json", arguments->json, "Print a JSON object on stdout");
+    command->callback([arguments, &status] { status = runConvert(*arguments); });
+    addProbeCommand(app, status);
+}
+
+}  // namespace brickyard

@@ -1,0 +1,244 @@
+// `brickyard render`: a picture from a dataset folder or a server.
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+
+#include "client/brick_source.h"
+#include "client/picture.h"
+#include "client/renderer.h"
+#include "core/dataset.h"
+#include "tools/command.h"
+#include "tools/progress_line.h"
+
+namespace brickyard {
+
+namespace {
+
+constexpr std::uint32_t kMaxEdge = 65536;
+constexpr std::uint64_t kMaxPixels = 1ull << 28;
+
+struct RenderOptions {
+    std::string source, output, size = "640x480", camera, scene, quality = "final", cache = "1G", max_bytes, token_file;
+    std::string device = "cpu";
+    std::optional<std::uint32_t> frame;
+    std::optional<double> density_scale, max_error, deadline;
+    unsigned threads = 0;
+    bool strict = false, json = false;
+};
+
+Result<void> parsePictureSize(const std::string& text, std::uint32_t& width, std::uint32_t& height) {
+    const char* end = text.data() + text.size();
+    const auto [x, error] = std::from_chars(text.data(), end, width);
+    if (error == std::errc() && x != end && *x == 'x') {
+        const auto [rest, error2] = std::from_chars(x + 1, end, height);
+        if (error2 == std::errc() && rest == end && width > 0 && height > 0 && width <= kMaxEdge && height <= kMaxEdge &&
+            std::uint64_t(width) * height <= kMaxPixels)
+            return {};
+    }
+    return fail(ErrorCode::kInvalid, fmt::format("--size '{}': give WIDTHxHEIGHT, each from 1 to {}, at most 2^28 pixels", text, kMaxEdge));
+}
+
+// What the presets mean (docs/quality.md): an error, and how many pixels a voxel may span before it must be split.
+Result<QualitySettings> qualityOf(const RenderOptions& options) {
+    QualitySettings quality;
+    if (options.quality == "draft") quality = {.max_error = 0.15, .pixels_per_voxel = 4};
+    if (options.quality == "preview") quality = {.max_error = 0.05, .pixels_per_voxel = 2};
+    if (options.quality == "final") quality = {.max_error = 0.01, .pixels_per_voxel = 1};
+    if (options.quality == "reference") quality = {.reference = true};
+    if (options.max_error) {
+        if (!(*options.max_error > 0 && *options.max_error <= 1))
+            return fail(ErrorCode::kInvalid, fmt::format("--max-error {}: give a number above 0, at most 1", *options.max_error));
+        quality = {.max_error = *options.max_error};
+    }
+    if (options.strict && !options.max_error)
+        return fail(ErrorCode::kInvalid, "--strict: give the bound with --max-error");
+    quality.strict = options.strict;
+    return quality;
+}
+
+Result<std::string> readToken(const std::string& file) {
+    if (file.empty()) return std::string();
+    std::ifstream in(file);
+    std::string token;
+    if (!in || !std::getline(in, token))
+        return fail(ErrorCode::kNotFound, fmt::format("--token-file {}: cannot be read, or is empty", file));
+    return token;
+}
+
+// The frame asked for, or the first there is.
+Result<std::uint32_t> chooseFrame(const Manifest& manifest, const RenderOptions& options) {
+    if (manifest.frames_size() == 0)
+        return fail(ErrorCode::kNotFound, fmt::format("{}: has no frames; convert some into it", options.source));
+    if (!options.frame) return manifest.frames(0).frame();
+    return *options.frame;
+}
+
+nlohmann::json toJson(const RenderOutcome& outcome) {
+    double max_bound = 0, sum_bound = 0, max_estimate = 0, sum_estimate = 0, alpha = 0;
+    double max_alpha_bound = 0, max_alpha_estimate = 0;
+    for (const Pixel& p : outcome.picture.pixels) {
+        const double bound = double(std::max(p.bound_alpha, p.bound_radiance));
+        const double estimate = double(std::max(p.estimate_alpha, p.estimate_radiance));
+        max_bound = std::max(max_bound, bound);
+        max_estimate = std::max(max_estimate, estimate);
+        max_alpha_bound = std::max(max_alpha_bound, double(p.bound_alpha));
+        max_alpha_estimate = std::max(max_alpha_estimate, double(p.estimate_alpha));
+        sum_bound += bound;
+        sum_estimate += estimate;
+        alpha += double(p.alpha);
+    }
+    const double pixels = double(outcome.picture.pixels.size());
+    const Camera& camera = outcome.camera;
+    return {
+        {"seconds_total", outcome.seconds_total},
+        {"seconds_first_image", outcome.seconds_first_image},
+        {"seconds_render", outcome.seconds_render},
+        {"bytes_streamed", outcome.streamed.bytes_streamed},
+        {"pages_streamed", outcome.streamed.pages_streamed},
+        {"tree_blocks_streamed", outcome.streamed.blocks_streamed},
+        {"round_trips", outcome.streamed.round_trips},
+        {"cache_bytes", outcome.cache_bytes},
+        {"cache_reloads", outcome.cache_reloads},
+        {"tree_bytes", outcome.tree_bytes},
+        {"passes", outcome.passes},
+        {"max_error_bound", max_bound},
+        {"mean_error_bound", sum_bound / pixels},
+        {"max_error_estimate", max_estimate},
+        {"mean_error_estimate", sum_estimate / pixels},
+        {"max_alpha_error_bound", max_alpha_bound},
+        {"max_alpha_error_estimate", max_alpha_estimate},
+        {"mean_alpha", alpha / pixels},
+        {"final", outcome.final},
+        {"not_final", {{"queued", outcome.not_final.queued},
+                       {"over_budget", outcome.not_final.over_budget},
+                       {"failed", outcome.not_final.failed},
+                       {"no_finer_data", outcome.not_final.no_finer_data}}},
+        {"width", outcome.picture.width},
+        {"height", outcome.picture.height},
+        {"camera", {{"eye", std::vector<double>(camera.eye().begin(), camera.eye().end())},
+                    {"target", std::vector<double>(camera.target().begin(), camera.target().end())},
+                    {"up", std::vector<double>(camera.up().begin(), camera.up().end())},
+                    {"vertical_fov_degrees", camera.vertical_fov_degrees()}}},
+    };
+}
+
+Result<RenderOutcome> renderTo(const RenderOptions& options) {
+    RenderRequest request;
+    if (Result<void> size = parsePictureSize(options.size, request.width, request.height); !size)
+        return tl::unexpected(size.error());
+    const Result<QualitySettings> quality = qualityOf(options);
+    if (!quality) return tl::unexpected(quality.error());
+    request.quality = *quality;
+    const Result<std::uint64_t> cache = parseSize(options.cache);
+    if (!cache) return tl::unexpected(cache.error());
+    request.cache_bytes = *cache;
+    if (!options.max_bytes.empty()) {
+        const Result<std::uint64_t> bytes = parseSize(options.max_bytes);
+        if (!bytes) return tl::unexpected(bytes.error());
+        request.max_stream_bytes = *bytes;
+    }
+    if (options.deadline) {
+        if (!(*options.deadline > 0)) return fail(ErrorCode::kInvalid, "--deadline: give seconds above 0");
+        request.deadline = std::chrono::duration<double>(*options.deadline);
+    }
+    if (options.density_scale) {
+        if (!(*options.density_scale >= 0) || !std::isfinite(*options.density_scale))
+            return fail(ErrorCode::kInvalid, "--density-scale: give a number of at least 0");
+        request.density_scale = options.density_scale;
+    }
+    if (options.device != "cpu")
+        return fail(ErrorCode::kUnsupported, fmt::format("--device {}: this build renders on the CPU; use --device cpu", options.device));
+    request.threads = options.threads;
+
+    // What is written where is checked before anything is drawn.
+    const std::filesystem::path output(options.output);
+    const bool exr = output.extension() == ".exr", png = output.extension() == ".png";
+    if (!exr && !png) return fail(ErrorCode::kInvalid, fmt::format("-o {}: name a .png or an .exr file", options.output));
+    std::error_code ignored;
+    if (output.has_parent_path() && !std::filesystem::is_directory(output.parent_path(), ignored))
+        return fail(ErrorCode::kNotFound, fmt::format("-o {}: its folder does not exist; make it first", options.output));
+
+    if (!options.scene.empty()) {
+        Result<Scene> scene = readScene(options.scene);
+        if (!scene) return tl::unexpected(scene.error());
+        request.scene = std::move(*scene);
+    }
+    if (!options.camera.empty()) {
+        Result<Camera> camera = readCamera(options.camera);
+        if (!camera) return tl::unexpected(camera.error());
+        request.camera = std::move(*camera);
+    }
+    const Result<std::string> token = readToken(options.token_file);
+    if (!token) return tl::unexpected(token.error());
+
+    const Result<std::unique_ptr<BrickSource>> source = openSource(options.source, *token);
+    if (!source) return tl::unexpected(source.error());
+    const Result<std::uint32_t> frame = chooseFrame((*source)->manifest(), options);
+    if (!frame) return tl::unexpected(frame.error());
+    request.frame = *frame;
+
+    ProgressLine line;
+    request.progress = [&](std::uint64_t done, std::uint64_t pixels, std::uint64_t bytes) {
+        line.show(fmt::format("{} of {} pixels final", done, pixels), double(done) / double(pixels), bytes);
+    };
+    Result<RenderOutcome> outcome = makeCpuRenderer()->render(**source, request);
+    line.clear();
+    if (!outcome) return outcome;
+    const Result<void> written = exr ? writeExr(outcome->picture, output) : writePng(outcome->picture, outcome->background, output);
+    if (!written) return tl::unexpected(written.error());
+    return outcome;
+}
+
+int runRender(const RenderOptions& options) {
+    const Result<RenderOutcome> outcome = renderTo(options);
+    if (!outcome) return reportError("render", outcome.error());
+    const nlohmann::json json = toJson(*outcome);
+    if (options.json) {
+        fmt::print("{}\n", json.dump());
+    } else {
+        fmt::print("{}: {} x {}, {}; expected error {:.2g} (largest {:.2g}), at most {:.2g}; {:.2f} s, {} pages, {:.2f} MB\n",
+                   options.output, outcome->picture.width, outcome->picture.height, outcome->final ? "final" : "not final",
+                   json["mean_error_estimate"].get<double>(), json["max_error_estimate"].get<double>(),
+                   json["max_error_bound"].get<double>(), outcome->seconds_total, outcome->streamed.pages_streamed,
+                   double(outcome->streamed.bytes_streamed) / 1e6);
+    }
+    if (outcome->not_final.failed > 0)
+        return reportError("render", {ErrorCode::kCorrupt, fmt::format("{} pages could not be had and are drawn from coarser ones; first: {}",
+                                                                       outcome->not_final.failed, outcome->first_failure)});
+    return kExitDone;
+}
+
+}  // namespace
+
+void addRenderCommand(CLI::App& app, int& status) {
+    auto options = std::make_shared<RenderOptions>();
+    CLI::App* command = app.add_subcommand("render", "Draw a picture of a dataset folder or of ws://HOST:PORT/NAME");
+    command->add_option("SOURCE", options->source, "Dataset folder, or ws://HOST:PORT/NAME")->required();
+    command->add_option("-o,--output", options->output, "OUT.png (sRGB over the background) or OUT.exr (linear, with Z and error layers)")
+        ->required();
+    command->add_option("--frame", options->frame, "Frame number; the first there is");
+    command->add_option("--size", options->size, "WIDTHxHEIGHT in pixels")->capture_default_str();
+    command->add_option("--camera", options->camera, "File or JSON: eye, target, up, vertical_fov_degrees; without one all is framed");
+    command->add_option("--scene", options->scene, "File or JSON: medium, light, background (docs/scene.md)");
+    command->add_option("--density-scale", options->density_scale, "Extinction per world unit of a density of 1");
+    command->add_option("--quality", options->quality, "draft, preview, final or reference (exact, the finest level)")
+        ->check(CLI::IsMember({"draft", "preview", "final", "reference"}))->capture_default_str();
+    command->add_option("--max-error", options->max_error, "Refine every pixel until hardly one is off by this; wins over --quality");
+    command->add_flag("--strict", options->strict, "Make --max-error a guarantee");
+    command->add_option("--deadline", options->deadline, "Seconds; the best picture by then");
+    command->add_option("--max-bytes", options->max_bytes, "Stream at most this, e.g. 2M; the best picture for it");
+    command->add_option("--cache", options->cache, "Page cache, e.g. 256M")->capture_default_str();
+    command->add_option("--device", options->device, "cpu")->check(CLI::IsMember({"cpu", "gpu"}))->capture_default_str();
+    command->add_option("--threads", options->threads, "Ray threads; one per processor");
+    command->add_option("--token-file", options->token_file, "First line is the server's token");
+    command->add_flag("--json", options->json, "One JSON object on stdout and nothing else");
+    command->callback([options, &status] { status = runRender(*options); });
+}
+
+}  // namespace brickyard

@@ -1,0 +1,51 @@
+// OpenVDB files into a dataset: plans the frames, skips those that are there, reads, builds and commits the
+// others.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "core/dataset_writer.h"
+#include "core/octree_builder.h"
+#include "core/result.h"
+
+namespace brickyard {
+
+struct ConversionOptions {
+    std::vector<std::string> inputs;  // files and patterns
+    std::filesystem::path output;
+    std::vector<std::string> channels;  // empty: all
+    double max_error = 0;
+    std::map<std::string, double> channel_errors;  // by channel name; wins over max_error
+    int brick_edge = kDefaultBrickEdge;
+    std::uint64_t memory_bytes = 0;  // what reading one file may take; 0: a multiple of its size
+    unsigned jobs = 0;               // 0: one per hardware thread
+    NonFinite nonfinite = NonFinite::kReject;
+    ExistingDataset existing = ExistingDataset::kContinue;
+    // The brickyard command that reads each file first (vdb_reader_guard.h); empty: this program.
+    std::filesystem::path probe_program;
+    // Told of what is left out, as one line. May be empty.
+    std::function<void(const std::string& note)> note;
+};
+
+struct ConversionReport {
+    std::vector<FrameEntry> frames;  // all that the inputs make, those that were there already included
+    std::uint32_t converted = 0;     // of them, by this run
+    std::uint64_t input_bytes = 0;
+    double seconds = 0;
+};
+
+// Nothing half-written is left behind an error: finished frames stay, and a dataset without any is removed.
+// Errors: of the inputs, of the dataset (settings or sources differ), of the disk. One line each.
+Result<ConversionReport> convert(const ConversionOptions& options);
+
+// The summary of a channel that goes into the manifest.
+ChannelSummary summarizeChannel(const ChannelFooter& channel);
+
+const char* toString(NonFinite policy);
+
+}  // namespace brickyard

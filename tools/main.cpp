@@ -1,0 +1,137 @@
+// The `brickyard` command line. Exit status: 0 done, 1 failed, 2 wrong usage; a failure is one line on
+// stderr.
+#include <fmt/core.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <exception>
+#include <new>
+#include <string>
+
+#include "tools/command.h"
+
+namespace brickyard {
+namespace {
+
+// A command of the contract, whether or not this build has it.
+struct CommandEntry {
+    const char* name;
+    void (*add)(CLI::App& app, int& status);  // null: left out of this build
+    const char* cmake_option;                 // what brings it back
+};
+
+// In the order of their use.
+constexpr CommandEntry kCommands[] = {
+    CommandEntry{"convert",
+#ifdef BRICKYARD_COMMAND_CONVERT
+                 addConvertCommand,
+#else
+                 nullptr,
+#endif
+                 "BRICKYARD_OPENVDB"},
+    CommandEntry{"info",
+#ifdef BRICKYARD_COMMAND_INFO
+                 addInfoCommand,
+#else
+                 nullptr,
+#endif
+                 ""},
+    CommandEntry{"verify",
+#ifdef BRICKYARD_COMMAND_VERIFY
+                 addVerifyCommand,
+#else
+                 nullptr,
+#endif
+                 ""},
+    CommandEntry{"export",
+#ifdef BRICKYARD_COMMAND_EXPORT
+                 addExportCommand,
+#else
+                 nullptr,
+#endif
+                 "BRICKYARD_OPENVDB"},
+    CommandEntry{"sample",
+#ifdef BRICKYARD_COMMAND_SAMPLE
+                 addSampleCommand,
+#else
+                 nullptr,
+#endif
+                 ""},
+    CommandEntry{"serve",
+#ifdef BRICKYARD_COMMAND_SERVE
+                 addServeCommand,
+#else
+                 nullptr,
+#endif
+                 "BRICKYARD_SERVER"},
+    CommandEntry{"render",
+#ifdef BRICKYARD_COMMAND_RENDER
+                 addRenderCommand,
+#else
+                 nullptr,
+#endif
+                 "BRICKYARD_CLIENT"},
+};
+
+// Takes any arguments, so that the answer is the missing option and not a complaint about the first of them.
+void addMissingCommand(CLI::App& app, const CommandEntry& entry, int& status) {
+    const std::string why = fmt::format("left out of this build; configure with -D{}=ON", entry.cmake_option);
+    CLI::App* command = app.add_subcommand(entry.name, fmt::format("({})", why));
+    command->allow_extras();
+    command->callback(
+        [&status, &entry, why] { status = reportError(entry.name, Error{ErrorCode::kUnsupported, why}); });
+}
+
+// CLI11's message on one line, and where to look next.
+int reportUsage(const CLI::App& app, const CLI::ParseError& error) {
+    std::string path = "brickyard";
+    for (const CLI::App* chosen : app.get_subcommands()) path += " " + chosen->get_name();
+    std::string message = error.what();
+    std::replace(message.begin(), message.end(), '\n', ' ');
+    message.erase(message.find_last_not_of(" .") + 1);
+    fmt::print(stderr, "{}: {}; see `{} --help`\n", path, message, path);
+    return kExitUsage;
+}
+
+int run(int argc, char** argv) {
+    CLI::App app("Brickyard: an out-of-core streaming voxel server", "brickyard");
+    app.set_version_flag("--version", "brickyard " BRICKYARD_VERSION);
+    app.require_subcommand(1);
+    app.footer(
+        "`brickyard COMMAND --help` describes a command.\nExit status: 0 done, 1 failed, 2 wrong usage.");
+    int status = kExitDone;
+    for (const CommandEntry& entry : kCommands) {
+        if (entry.add)
+            entry.add(app, status);
+        else
+            addMissingCommand(app, entry, status);
+    }
+
+    try {
+        app.parse(argc, argv);
+    } catch (const CLI::CallForHelp& help) {
+        return app.exit(help);
+    } catch (const CLI::CallForAllHelp& help) {
+        return app.exit(help);
+    } catch (const CLI::CallForVersion& version) {
+        return app.exit(version);
+    } catch (const CLI::ParseError& error) {
+        return reportUsage(app, error);
+    }
+    return status;
+}
+
+}  // namespace
+}  // namespace brickyard
+
+int main(int argc, char** argv) {
+    // Failures are values in our own code; what still throws is memory and libraries.
+    try {
+        return brickyard::run(argc, argv);
+    } catch (const std::bad_alloc&) {
+        std::fputs("brickyard: out of memory; give it less to do at once, or more memory\n", stderr);
+    } catch (const std::exception& error) {
+        fmt::print(stderr, "brickyard: unexpected failure: {}; please report it\n", error.what());
+    }
+    return brickyard::kExitFailed;
+}
