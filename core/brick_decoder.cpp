@@ -1,5 +1,6 @@
-// Reading a payload: parse, decompress the byte planes, merge them into words, undo the predictor, turn words
-// into samples. Each step runs over a whole component and is a loop that the compiler vectorises.
+// Reading a payload: parse, decompress the byte planes, merge them into words, undo the predictor, correct
+// the draft where there is one, turn words into samples. Each step runs over a whole component and is a loop
+// that the compiler vectorises.
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -26,6 +27,7 @@ tl::unexpected<Error> corrupt(const char* what) {
 struct Scratch {
     std::vector<std::byte> planes;
     std::vector<std::byte> words;  // of whichever width the payload has
+    std::vector<std::byte> draft;  // samples
 };
 Scratch& scratch() {
     thread_local Scratch kept;
@@ -55,7 +57,7 @@ void mergePlanes(const std::byte* const* planes, std::size_t count, W* __restric
 // All components' words, planar, in the calling thread's scratch; nullptr where a plane is not what it should
 // be.
 template <class W>
-const W* readWords(const PayloadParts& parts, BrickShape shape, int components) {
+W* readWords(const PayloadParts& parts, BrickShape shape, int components) {
     const std::size_t count = shape.samples() * std::size_t(components);
     Scratch& kept = scratch();
     if (kept.planes.size() < count * sizeof(W)) kept.planes.resize(count * sizeof(W));
@@ -95,14 +97,28 @@ bool wordsAreSound(SampleType type, const W* words, std::size_t count) {
     }
 }
 
-// Calls `sink(c, words of component c)` for a lossless or quantised payload, with words of the stored width.
-template <class Sink>
-Result<void> forEachComponent(const PayloadParts& parts, BrickShape shape, SampleType type, int components,
-                              Sink sink) {
+// Differences to the draft become words. A draft is another predictor.
+template <class T, class W>
+void addDraft(const T* __restrict draft, PayloadPredictor predictor, std::size_t count, W* __restrict words) {
+    // Undoing Lorenzo has undone the zigzag as well.
+    if (predictor == PayloadPredictor::kLorenzo)
+        for (std::size_t i = 0; i < count; ++i) words[i] = W(words[i] + orderedFromDraft<W>(draft[i]));
+    else
+        for (std::size_t i = 0; i < count; ++i)
+            words[i] = W(unzigzag(words[i]) + orderedFromDraft<W>(draft[i]));
+}
+
+// Calls `sink(c, words of component c)` for a lossless or quantised section, with words of the stored width.
+// `draft`: its samples, all components; nullptr where the words need no correction.
+template <class T, class Sink>
+Result<void> forEachComponent(const PayloadParts& parts, const T* draft, BrickShape shape, SampleType type,
+                              int components, Sink sink) {
     const auto run = [&]<class W>(W) -> Result<void> {
         const std::size_t n = shape.samples();
-        const W* const words = readWords<W>(parts, shape, components);
+        W* const words = readWords<W>(parts, shape, components);
         if (!words) return corrupt("has a byte plane of another size than the brick");
+        if constexpr (std::is_floating_point_v<T> && sizeof(W) > 1 && sizeof(W) <= sizeof(T))
+            if (draft) addDraft(draft, parts.predictor, n * std::size_t(components), words);
         if (parts.encoding == PayloadEncoding::kLossless &&
             !wordsAreSound(type, words, n * std::size_t(components)))
             return corrupt("holds a number that its type has not");
@@ -171,31 +187,44 @@ void floatsFromWords(const PayloadParts& parts, std::size_t c, const W* words, s
 }
 
 template <class T>
-Result<void> decodeValues(const PayloadParts& parts, BrickShape shape, SampleType type, int components,
-                          T* out) {
+Result<void> decodeValues(const PayloadParts& parts, const T* draft, BrickShape shape, SampleType type,
+                          int components, T* out) {
     const std::size_t n = shape.samples();
     if (parts.encoding == PayloadEncoding::kConstant) {
         for (std::size_t c = 0; c < std::size_t(components); ++c)
             std::fill_n(out + c * n, n, valueFromBits<T>(parts.constant[c]));
         return {};
     }
-    return forEachComponent(parts, shape, type, components, [&](std::size_t c, const auto* words) {
+    return forEachComponent(parts, draft, shape, type, components, [&](std::size_t c, const auto* words) {
         samplesFromWords(parts, c, words, n, out + c * n);
     });
 }
 
 template <class T>
-Result<void> decodeFloats(const PayloadParts& parts, BrickShape shape, SampleType type, int components,
-                          float* out) {
+Result<void> decodeFloats(const PayloadParts& parts, const T* draft, BrickShape shape, SampleType type,
+                          int components, float* out) {
     const std::size_t n = shape.samples();
     if (parts.encoding == PayloadEncoding::kConstant) {
         for (std::size_t c = 0; c < std::size_t(components); ++c)
             std::fill_n(out + c * n, n, toFloat(type, parts.constant[c]));
         return {};
     }
-    return forEachComponent(parts, shape, type, components, [&](std::size_t c, const auto* words) {
+    return forEachComponent(parts, draft, shape, type, components, [&](std::size_t c, const auto* words) {
         floatsFromWords<T>(parts, c, words, n, out + c * n);
     });
+}
+
+// Samples of the draft in the calling thread's scratch; nullptr where the payload has none.
+template <class T>
+Result<const T*> draftOf(const ParsedPayload& parsed, BrickShape shape, SampleType type, int components) {
+    if (!parsed.draft) return nullptr;
+    std::vector<std::byte>& kept = scratch().draft;
+    const std::size_t bytes = shape.samples() * std::size_t(components) * sizeof(T);
+    if (kept.size() < bytes) kept.resize(bytes);
+    T* const samples = reinterpret_cast<T*>(kept.data());
+    const auto decoded = decodeValues<T>(*parsed.draft, nullptr, shape, type, components, samples);
+    if (!decoded) return tl::unexpected(decoded.error());
+    return samples;
 }
 
 // `run` with a null pointer of the type that holds the channel's samples.
@@ -236,17 +265,20 @@ Result<DecodedBrick> decodeBrick(std::span<const std::byte> payload, BrickShape 
                                  int components, std::span<const ValueBits> background) {
     assert(isBrickEdge(shape.edge_cells) && components >= 1 && components <= kMaxComponents);
     assert(background.size() >= std::size_t(components));
-    const auto parts = parsePayload(payload, type, components);
-    if (!parts) return tl::unexpected(parts.error());
+    const auto parsed = parsePayload(payload, type, components);
+    if (!parsed) return tl::unexpected(parsed.error());
 
     DecodedBrick brick;
     brick.type = type;
     brick.values.resize(shape.samples() * std::size_t(components) * sampleBytes(type));
-    const auto values = withSampleType(type, [&]<class T>(T*) {
-        return decodeValues(*parts, shape, type, components, reinterpret_cast<T*>(brick.values.data()));
+    const auto values = withSampleType(type, [&]<class T>(T*) -> Result<void> {
+        const auto draft = draftOf<T>(*parsed, shape, type, components);
+        if (!draft) return tl::unexpected(draft.error());
+        T* const out = reinterpret_cast<T*>(brick.values.data());
+        return decodeValues(parsed->exact, *draft, shape, type, components, out);
     });
     if (!values) return tl::unexpected(values.error());
-    if (const auto states = decodeStates(*parts, shape, type, components, background, brick); !states)
+    if (const auto states = decodeStates(parsed->exact, shape, type, components, background, brick); !states)
         return tl::unexpected(states.error());
     return brick;
 }
@@ -255,10 +287,40 @@ Result<void> decodeBrickToFloat(std::span<const std::byte> payload, BrickShape s
                                 int components, std::span<float> out) {
     assert(isBrickEdge(shape.edge_cells) && components >= 1 && components <= kMaxComponents);
     assert(out.size() == shape.samples() * std::size_t(components));
-    const auto parts = parsePayload(payload, type, components);
+    const auto parsed = parsePayload(payload, type, components);
+    if (!parsed) return tl::unexpected(parsed.error());
+    return withSampleType(type, [&]<class T>(T*) -> Result<void> {
+        const auto draft = draftOf<T>(*parsed, shape, type, components);
+        if (!draft) return tl::unexpected(draft.error());
+        return decodeFloats<T>(parsed->exact, *draft, shape, type, components, out.data());
+    });
+}
+
+Result<DecodedBrick> decodeDraft(std::span<const std::byte> draft, BrickShape shape, SampleType type,
+                                 int components) {
+    assert(isBrickEdge(shape.edge_cells) && components >= 1 && components <= kMaxComponents);
+    const auto parts = parseDraft(draft, type, components);
     if (!parts) return tl::unexpected(parts.error());
-    return withSampleType(
-        type, [&]<class T>(T*) { return decodeFloats<T>(*parts, shape, type, components, out.data()); });
+    DecodedBrick brick;
+    brick.type = type;
+    brick.values.resize(shape.samples() * std::size_t(components) * sampleBytes(type));
+    const auto values = withSampleType(type, [&]<class T>(T*) {
+        return decodeValues<T>(*parts, nullptr, shape, type, components,
+                               reinterpret_cast<T*>(brick.values.data()));
+    });
+    if (!values) return tl::unexpected(values.error());
+    return brick;
+}
+
+Result<void> decodeDraftToFloat(std::span<const std::byte> draft, BrickShape shape, SampleType type,
+                                int components, std::span<float> out) {
+    assert(isBrickEdge(shape.edge_cells) && components >= 1 && components <= kMaxComponents);
+    assert(out.size() == shape.samples() * std::size_t(components));
+    const auto parts = parseDraft(draft, type, components);
+    if (!parts) return tl::unexpected(parts.error());
+    return withSampleType(type, [&]<class T>(T*) {
+        return decodeFloats<T>(*parts, nullptr, shape, type, components, out.data());
+    });
 }
 
 }  // namespace brickyard

@@ -1,11 +1,12 @@
 // Writing a payload: choose the cheapest encoding that keeps the error bound, and tell the error that it
-// makes.
+// makes; put a draft in front of an exact one where that pays.
 #include <algorithm>
 #include <array>
 #include <cassert>
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <optional>
 #include <type_traits>
 
 #include "core/brick_codec.h"
@@ -19,7 +20,10 @@
 namespace brickyard {
 namespace {
 
-// The parts of a payload but for its states.
+// Version, encoding, width, predictor, activity.
+constexpr std::size_t kSectionHeaderBytes = 5;
+
+// A section of a payload but for its states.
 struct Candidate {
     PayloadEncoding encoding = PayloadEncoding::kConstant;
     PayloadPredictor predictor = PayloadPredictor::kNone;
@@ -33,6 +37,12 @@ struct Candidate {
     std::size_t bytes() const { return parameters.size() + width * sizeof(std::uint32_t) + streams.size(); }
 };
 
+// What a brick becomes: `exact` holds corrections to the draft where there is one.
+struct Sections {
+    std::optional<Candidate> draft;
+    Candidate exact;
+};
+
 template <class W>
 void appendPlanes(const std::vector<W>& words, Candidate& candidate) {
     thread_local std::vector<std::byte> plane;
@@ -44,14 +54,19 @@ void appendPlanes(const std::vector<W>& words, Candidate& candidate) {
     }
 }
 
-// Stores `words` (planar, all components) with the predictor that makes them smaller.
+// Stores `words` (planar, all components) as they are.
 template <class W>
-Candidate packWords(PayloadEncoding encoding, std::vector<W> words, BrickShape shape, int components) {
+Candidate packPlain(PayloadEncoding encoding, const std::vector<W>& words) {
     Candidate plain;
     plain.encoding = encoding;
     plain.width = sizeof(W);
     appendPlanes(words, plain);
+    return plain;
+}
 
+// Stores `words` with Lorenzo.
+template <class W>
+Candidate packPredicted(PayloadEncoding encoding, std::vector<W> words, BrickShape shape, int components) {
     Candidate predicted;
     predicted.encoding = encoding;
     predicted.predictor = PayloadPredictor::kLorenzo;
@@ -59,6 +74,14 @@ Candidate packWords(PayloadEncoding encoding, std::vector<W> words, BrickShape s
     for (std::size_t c = 0; c < std::size_t(components); ++c)
         subtractPrediction(words.data() + c * shape.samples(), std::size_t(shape.edgeSamples()));
     appendPlanes(words, predicted);
+    return predicted;
+}
+
+// Stores `words` with the predictor that makes them smaller.
+template <class W>
+Candidate packWords(PayloadEncoding encoding, std::vector<W> words, BrickShape shape, int components) {
+    Candidate plain = packPlain(encoding, words);
+    Candidate predicted = packPredicted(encoding, std::move(words), shape, components);
     return predicted.bytes() < plain.bytes() ? predicted : plain;
 }
 
@@ -130,7 +153,17 @@ public:
         }
     }
 
-    Candidate best() const {
+    Sections best() const {
+        Sections sections;
+        sections.exact = exact();
+        if constexpr (std::is_floating_point_v<T>) {
+            if (brick_.draft_error > 0 && brick_.max_error == 0 && finite_ && !one_value_) addDraft(sections);
+        }
+        return sections;
+    }
+
+private:
+    Candidate exact() const {
         if (one_value_) {
             std::array<T, kMaxComponents> value{};
             for (std::size_t c = 0; c < components_; ++c) value[c] = values_[c * n_];
@@ -139,9 +172,9 @@ public:
         if constexpr (std::is_floating_point_v<T>) {
             // NaN and infinity have no distance to anything: they go through bit for bit.
             if (brick_.max_error > 0 && finite_) {
-                if (auto near = nearConstant(); near.width == 0 && !near.parameters.empty()) return near;
-                Candidate quantised = this->quantised();
-                if (quantised.width == 0) return lossless();
+                Candidate quantised = approximated(brick_.max_error);
+                if (quantised.parameters.empty()) return lossless();
+                if (quantised.width == 0) return quantised;
                 // Noisy mantissas do not come below half their bytes, so lossless is tried only beside a weak
                 // quantisation, or where the source saved halves.
                 if (quantised.bytes() * 2 > count() * sizeof(T) ||
@@ -155,7 +188,6 @@ public:
         return lossless();
     }
 
-private:
     std::size_t count() const { return n_ * components_; }
 
     // The least bytes that hold every value exactly as an IEEE number.
@@ -182,24 +214,79 @@ private:
         return 2;
     }
 
+    // A draft and what corrects it, in place of the lossless section that is there, if that pays.
+    void addDraft(Sections& sections) const
+        requires std::is_floating_point_v<T>
+    {
+        // The whole payload may grow by 8 % and the draft must stay below 70 %: above either, fetching twice
+        // is worse than fetching once.
+        const auto plain = double(kSectionHeaderBytes + sections.exact.bytes());
+        Candidate draft = approximated(brick_.draft_error);
+        if (draft.parameters.empty()) return;
+        const auto draft_bytes = double(kSectionHeaderBytes + draft.bytes());
+        if (draft_bytes >= 0.7 * plain) return;
+
+        Candidate corrections;
+        switch (sections.exact.width) {
+            case 2: corrections = correctionsAs<std::uint16_t>(draft); break;
+            case 4: corrections = correctionsAs<std::uint32_t>(draft); break;
+            default: corrections = correctionsAs<std::uint64_t>(draft); break;
+        }
+        if (draft_bytes + double(kSectionHeaderBytes + corrections.bytes()) > 1.08 * plain) return;
+        sections.draft = std::move(draft);
+        sections.exact = std::move(corrections);
+    }
+
+    // What the words of the exact samples are beyond those that the draft predicts.
+    template <class W>
+    Candidate correctionsAs(const Candidate& draft) const
+        requires std::is_floating_point_v<T>
+    {
+        if constexpr (sizeof(W) <= sizeof(T)) {
+            const T* const predicted = reinterpret_cast<const T*>(draft.decoded.data());
+            std::vector<W> differences = exactWords<W>();
+            for (std::size_t i = 0; i < differences.size(); ++i)
+                differences[i] = W(differences[i] - orderedFromDraft<W>(predicted[i]));
+            std::vector<W> codes(differences.size());
+            for (std::size_t i = 0; i < codes.size(); ++i) codes[i] = zigzag(differences[i]);
+            Candidate plain = packPlain(PayloadEncoding::kLossless, codes);
+            // What a quantiser leaves over is noise, which a predictor only adds up. A draft of one value
+            // leaves all.
+            if (draft.encoding != PayloadEncoding::kConstant) return plain;
+            Candidate smoothed = packPredicted(PayloadEncoding::kLossless, std::move(differences),
+                                               brick_.shape, brick_.components);
+            return smoothed.bytes() < plain.bytes() ? smoothed : plain;
+        } else {
+            return {};
+        }
+    }
+
+    template <class W>
+    std::vector<W> exactWords() const
+        requires std::is_floating_point_v<T>
+    {
+        std::vector<W> words(count());
+        for (std::size_t i = 0; i < words.size(); ++i) {
+            if constexpr (sizeof(W) == 2) {
+                words[i] = orderedFromBits(halfFromFloat(float(values_[i])));
+            } else if constexpr (sizeof(W) == sizeof(T)) {
+                W bits;
+                std::memcpy(&bits, values_ + i, sizeof(W));
+                words[i] = orderedFromBits(bits);
+            } else if constexpr (sizeof(W) == 4) {
+                words[i] = orderedFromBits(std::bit_cast<std::uint32_t>(float(values_[i])));
+            }
+        }
+        return words;
+    }
+
     template <class W>
     Candidate losslessAs() const {
-        std::vector<W> words(count());
         if constexpr (std::is_floating_point_v<T>) {
-            for (std::size_t i = 0; i < words.size(); ++i) {
-                if constexpr (sizeof(W) == 2) {
-                    words[i] = orderedFromBits(halfFromFloat(float(values_[i])));
-                } else if constexpr (sizeof(W) == sizeof(T)) {
-                    W bits;
-                    std::memcpy(&bits, values_ + i, sizeof(W));
-                    words[i] = orderedFromBits(bits);
-                } else if constexpr (sizeof(W) == 4) {
-                    words[i] = orderedFromBits(std::bit_cast<std::uint32_t>(float(values_[i])));
-                }
-            }
-            return packWords(PayloadEncoding::kLossless, std::move(words), brick_.shape, brick_.components);
+            return packWords(PayloadEncoding::kLossless, exactWords<W>(), brick_.shape, brick_.components);
         } else {
             using Unsigned = std::make_unsigned_t<T>;
+            std::vector<W> words(count());
             for (std::size_t c = 0; c < components_; ++c)
                 for (std::size_t i = c * n_; i < (c + 1) * n_; ++i)
                     words[i] = W(Unsigned(Unsigned(values_[i]) - offset(c)));
@@ -237,9 +324,17 @@ private:
         }
     }
 
+    // The cheapest section within the error; without parameters where there is none.
+    Candidate approximated(double max_error) const
+        requires std::is_floating_point_v<T>
+    {
+        if (auto near = nearConstant(max_error); !near.parameters.empty()) return near;
+        return quantised(max_error);
+    }
+
     // One value within the error of all samples: the background where that will do, else the middle of the
     // range. Without parameters where there is none.
-    Candidate nearConstant() const
+    Candidate nearConstant(double max_error) const
         requires std::is_floating_point_v<T>
     {
         std::array<T, kMaxComponents> value{};
@@ -251,9 +346,9 @@ private:
         for (std::size_t c = 0; c < components_; ++c) {
             value[c] = T(toDouble(brick_.type, brick_.background[c]));
             // Not finite, or too far; halves are added, because the sum of two doubles may overflow.
-            if (!(deviation(c, value[c]) <= brick_.max_error))
+            if (!(deviation(c, value[c]) <= max_error))
                 value[c] = T(double(ranges_[c].min) * 0.5 + double(ranges_[c].max) * 0.5);
-            if (!(deviation(c, value[c]) <= brick_.max_error)) return {};
+            if (!(deviation(c, value[c]) <= max_error)) return {};
             error = std::max(error, deviation(c, value[c]));
         }
         Candidate candidate = constantCandidate(value, components_);
@@ -266,12 +361,12 @@ private:
 
     // Largest deviation is measured, not derived: rounding to the sample's type adds to half a step. The
     // first step leaves room for it. All bricks of a channel try the same steps, so that neighbours mostly
-    // share one and agree on the samples they share.
-    Candidate quantised() const
+    // share one and agree on the samples they share. Without parameters where no step will do.
+    Candidate quantised(double max_error) const
         requires std::is_floating_point_v<T>
     {
         for (const double steps_per_error : {2 - 0x1p-9, 2 - 0x1p-4, 1.5, 1.0}) {
-            const double step = brick_.max_error * steps_per_error;
+            const double step = max_error * steps_per_error;
             // Step or its inverse may be denormal or infinite: the sizes below are then no numbers to count
             // on.
             const double inverse = 1 / step;
@@ -288,10 +383,11 @@ private:
                 q_max = std::max(q_max, rounded(high) - base[c]);
             }
             if (!fits || q_max > double(0xffffffffu)) continue;
-            Candidate candidate = q_max <= 0xff     ? quantisedAs<std::uint8_t>(step, inverse, base)
-                                  : q_max <= 0xffff ? quantisedAs<std::uint16_t>(step, inverse, base)
-                                                    : quantisedAs<std::uint32_t>(step, inverse, base);
-            if (candidate.width != 0) return candidate;
+            Candidate candidate = q_max <= 0xff ? quantisedAs<std::uint8_t>(max_error, step, inverse, base)
+                                  : q_max <= 0xffff
+                                      ? quantisedAs<std::uint16_t>(max_error, step, inverse, base)
+                                      : quantisedAs<std::uint32_t>(max_error, step, inverse, base);
+            if (!candidate.parameters.empty()) return candidate;
         }
         return {};
     }
@@ -300,9 +396,10 @@ private:
     // To the nearest integer, for |x| <= kRoundable: doubles near 1.5 * 2^52 are one apart.
     static double rounded(double x) { return (x + 0x1.8p52) - 0x1.8p52; }
 
-    // Width 0 where the error is too large or the format forbids the numbers.
+    // Without parameters where the error is too large or the format forbids the numbers.
     template <class W>
-    Candidate quantisedAs(double step, double inverse, const std::array<double, kMaxComponents>& base) const
+    Candidate quantisedAs(double max_error, double step, double inverse,
+                          const std::array<double, kMaxComponents>& base) const
         requires std::is_floating_point_v<T>
     {
         for (std::size_t c = 0; c < components_; ++c)
@@ -321,7 +418,7 @@ private:
             for (std::size_t i = 0; i < n_; ++i) samples[c * n_ + i] = T(dequantised(q[i], step, base[c]));
             error = std::max(error, largestDeviation(values, samples + c * n_));
         }
-        if (!(error <= brick_.max_error)) return {};
+        if (!(error <= max_error)) return {};
 
         Candidate candidate =
             packWords(PayloadEncoding::kQuantised, std::move(words), brick_.shape, brick_.components);
@@ -355,7 +452,7 @@ private:
     bool one_value_ = true;
 };
 
-Candidate bestCandidate(const BrickToEncode& brick) {
+Sections bestSections(const BrickToEncode& brick) {
     const std::byte* const values = brick.values.data();
     switch (brick.type) {
         case SampleType::kFloat32:
@@ -392,6 +489,21 @@ PayloadActivity activityOf(const BrickToEncode& brick, std::span<const std::byte
     return PayloadActivity::kMask;
 }
 
+// `mask_entry` is that of the mask at the end of the section's streams, if the states need one.
+void appendSection(const Candidate& section, std::uint8_t flags, PayloadActivity activity,
+                   std::uint32_t mask_entry, std::vector<std::byte>& out) {
+    ByteWriter writer(out);
+    writer.put(kPayloadVersion);
+    writer.put(std::uint8_t(std::uint8_t(section.encoding) | flags));
+    writer.put(std::uint8_t(section.width));
+    writer.put(section.predictor);
+    writer.put(activity);
+    writer.putBytes(section.parameters);
+    for (std::size_t j = 0; j < section.width; ++j) writer.put(section.entries[j]);
+    if (activity == PayloadActivity::kMask) writer.put(mask_entry);
+    writer.putBytes(section.streams);
+}
+
 }  // namespace
 
 EncodedBrick encodeBrick(const BrickToEncode& given) {
@@ -408,29 +520,24 @@ EncodedBrick encodeBrick(const BrickToEncode& given) {
            brick.shape.samples() * std::size_t(brick.components) * sampleBytes(brick.type));
     assert(brick.active.empty() || brick.active.size() == brick.shape.cells());
     assert(brick.background.size() >= std::size_t(brick.components));
-    assert(brick.max_error >= 0);
+    assert(brick.max_error >= 0 && brick.draft_error >= 0);
 
-    Candidate candidate = bestCandidate(brick);
-    const auto decoded =
-        candidate.decoded.empty() ? brick.values : std::span<const std::byte>(candidate.decoded);
+    auto [draft, exact] = bestSections(brick);
+    const auto decoded = exact.decoded.empty() ? brick.values : std::span<const std::byte>(exact.decoded);
     std::vector<std::byte> mask;
     const PayloadActivity activity = activityOf(brick, decoded, mask);
     std::uint32_t mask_entry = 0;
-    if (!mask.empty()) mask_entry = appendStream(mask, candidate.streams);
+    if (!mask.empty()) mask_entry = appendStream(mask, exact.streams);
 
     EncodedBrick encoded;
-    encoded.error_made = candidate.error_made;
-    encoded.payload.reserve(16 + candidate.bytes());
-    ByteWriter payload(encoded.payload);
-    payload.put(kPayloadVersion);
-    payload.put(candidate.encoding);
-    payload.put(std::uint8_t(candidate.width));
-    payload.put(candidate.predictor);
-    payload.put(activity);
-    payload.putBytes(candidate.parameters);
-    for (std::size_t j = 0; j < candidate.width; ++j) payload.put(candidate.entries[j]);
-    if (!mask.empty()) payload.put(mask_entry);
-    payload.putBytes(candidate.streams);
+    encoded.error_made = exact.error_made;
+    encoded.payload.reserve(32 + exact.bytes() + (draft ? draft->bytes() : 0));
+    if (draft) {
+        appendSection(*draft, kDraftFlag, PayloadActivity::kNotKept, 0, encoded.payload);
+        encoded.draft_bytes = encoded.payload.size();
+        encoded.draft_error_made = draft->error_made;
+    }
+    appendSection(exact, 0, activity, mask_entry, encoded.payload);
     return encoded;
 }
 

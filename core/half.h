@@ -43,6 +43,21 @@ inline std::uint16_t halfFromFloat(float value) {
     return std::uint16_t((bits >> 16 & 0x8000u) | ((small ? denormal : normal) & 0x7fffu));
 }
 
+// The nearest half, ties to even, within the finite range. REQUIRES: not NaN.
+inline std::uint16_t nearestHalf(float value) {
+    constexpr std::uint32_t kLargest = 0x477fe000u;  // 65504
+    const std::uint32_t bits = std::bit_cast<std::uint32_t>(value), sign = bits >> 16 & 0x8000u;
+    std::uint32_t magnitude = bits & 0x7fffffffu;
+    magnitude = magnitude > kLargest ? kLargest : magnitude;
+    // Half of what is cut off, less one where the kept part is even: a carry goes into the exponent, as it
+    // should.
+    const std::uint32_t normal = (magnitude + 0xfffu + (magnitude >> 13 & 1u) - (112u << 23)) >> 13;
+    // Below 2^-14, multiples of 2^-24 are kept; floats near 2^23 are one apart.
+    const float scaled = std::bit_cast<float>(magnitude) * 0x1p24f + 0x1p23f;
+    const std::uint32_t denormal = std::bit_cast<std::uint32_t>(scaled) & 0x7fffu;
+    return std::uint16_t(sign | (magnitude < (113u << 23) ? denormal : normal));
+}
+
 // Whether a finite half has exactly these bits as a float.
 inline bool isHalf(float value) {
     const std::uint32_t bits = std::bit_cast<std::uint32_t>(value);

@@ -52,6 +52,10 @@ tl::unexpected<Error> corrupt(std::string message) {
     return fail(ErrorCode::kCorrupt, message + "; convert this frame again");
 }
 
+tl::unexpected<Error> notTheSum(std::size_t payload_bytes) {
+    return corrupt(fmt::format("payload of {} bytes, but its parts do not add up to that", payload_bytes));
+}
+
 }  // namespace
 
 bool isQuantiser(SampleType type, std::size_t width, double step, std::int64_t base) {
@@ -64,27 +68,43 @@ bool isQuantiser(SampleType type, std::size_t width, double step, std::int64_t b
     return step * largest <= limit;
 }
 
-Result<PayloadParts> parsePayload(std::span<const std::byte> payload, SampleType type, int components) {
-    ByteReader reader(payload);
+namespace {
+
+struct Section {
     PayloadParts parts;
+    bool is_draft = false;
+};
+
+// One section, from its version to the last byte of its streams. `payload_bytes` is for messages.
+Result<Section> readSection(ByteReader& reader, std::size_t payload_bytes, SampleType type, int components) {
+    Section section;
+    PayloadParts& parts = section.parts;
+    const bool is_empty = reader.left() == 0;
     const auto version = reader.get<std::uint8_t>();
-    if (!payload.empty() && version != kPayloadVersion)
+    if (!is_empty && version != kPayloadVersion)
         return corrupt(fmt::format("payload version {} is none that this reader knows", version));
 
     // An enumeration read from a file may hold any number: `isWidth` and the two comparisons below refuse the
     // unknown.
-    parts.encoding = PayloadEncoding(reader.get<std::uint8_t>());
+    const auto encoding = reader.get<std::uint8_t>();
+    section.is_draft = (encoding & kDraftFlag) != 0;
+    parts.encoding = PayloadEncoding(encoding & ~kDraftFlag);
     parts.width = reader.get<std::uint8_t>();
     parts.predictor = PayloadPredictor(reader.get<std::uint8_t>());
     parts.activity = PayloadActivity(reader.get<std::uint8_t>());
     if (!reader.ok())
-        return corrupt(fmt::format("payload of {} bytes ends within its header", payload.size()));
+        return corrupt(fmt::format("payload of {} bytes ends within its header", payload_bytes));
     if (!isWidth(parts.encoding, type, parts.width) || parts.predictor > PayloadPredictor::kLorenzo ||
         parts.activity > PayloadActivity::kMask ||
         (parts.encoding == PayloadEncoding::kConstant && parts.predictor != PayloadPredictor::kNone))
         return corrupt(fmt::format(
             "payload with encoding {}, width {}, predictor {}, activity {} cannot be {}", int(parts.encoding),
             parts.width, int(parts.predictor), int(parts.activity), toString(type)));
+    // What a draft leaves out, the section behind it tells.
+    if (section.is_draft && (!isFloating(type) || parts.encoding == PayloadEncoding::kLossless ||
+                             parts.activity != PayloadActivity::kNotKept))
+        return corrupt(fmt::format("payload with a draft of encoding {}, activity {} cannot be {}",
+                                   int(parts.encoding), int(parts.activity), toString(type)));
 
     // Parameters of the encoding.
     const auto n = std::size_t(components);
@@ -93,6 +113,8 @@ Result<PayloadParts> parsePayload(std::span<const std::byte> payload, SampleType
             parts.constant[c] = readValue(reader, type);
             if (type == SampleType::kBool && parts.constant[c] > 1)
                 return corrupt("payload with a bool above 1");
+            if (section.is_draft && !std::isfinite(toDouble(type, parts.constant[c])))
+                return corrupt("payload with a draft that is no number");
         }
     } else if (parts.encoding == PayloadEncoding::kQuantised) {
         parts.step = reader.get<double>();
@@ -106,7 +128,7 @@ Result<PayloadParts> parsePayload(std::span<const std::byte> payload, SampleType
         for (std::size_t c = 0; c < n; ++c) parts.offset[c] = readValue(reader, type);
     }
 
-    // Streams: all entries, then all bytes, to the payload's last.
+    // Streams: all entries, then all bytes.
     std::array<std::uint32_t, kMaxWordBytes> plane_bytes{};
     std::uint32_t mask_bytes = 0;
     for (std::size_t j = 0; j < parts.width; ++j) parts.planes[j] = readEntry(reader, plane_bytes[j]);
@@ -121,10 +143,35 @@ Result<PayloadParts> parsePayload(std::span<const std::byte> payload, SampleType
         parts.mask.stored = reader.take(mask_bytes);
         sound = sound && isStream(parts.mask);
     }
-    if (!reader.ok() || reader.left() != 0 || !sound)
-        return corrupt(
-            fmt::format("payload of {} bytes, but its parts do not add up to that", payload.size()));
-    return parts;
+    if (!reader.ok() || !sound) return notTheSum(payload_bytes);
+    return section;
+}
+
+}  // namespace
+
+Result<ParsedPayload> parsePayload(std::span<const std::byte> payload, SampleType type, int components) {
+    ByteReader reader(payload);
+    ParsedPayload parsed;
+    auto section = readSection(reader, payload.size(), type, components);
+    if (section && section->is_draft) {
+        parsed.draft = section->parts;
+        section = readSection(reader, payload.size(), type, components);
+        if (section && (section->is_draft || section->parts.encoding != PayloadEncoding::kLossless))
+            return corrupt("payload with a draft that nothing corrects");
+    }
+    if (!section) return tl::unexpected(section.error());
+    if (reader.left() != 0) return notTheSum(payload.size());
+    parsed.exact = section->parts;
+    return parsed;
+}
+
+Result<PayloadParts> parseDraft(std::span<const std::byte> draft, SampleType type, int components) {
+    ByteReader reader(draft);
+    const auto section = readSection(reader, draft.size(), type, components);
+    if (!section) return tl::unexpected(section.error());
+    if (!section->is_draft) return corrupt("payload without a draft");
+    if (reader.left() != 0) return notTheSum(draft.size());
+    return section->parts;
 }
 
 }  // namespace brickyard

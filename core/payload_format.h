@@ -5,6 +5,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 
 #include "core/brick_shape.h"
@@ -16,6 +17,10 @@ namespace brickyard {
 inline constexpr std::uint8_t kPayloadVersion = 1;
 
 enum class PayloadEncoding : std::uint8_t { kConstant = 0, kLossless = 1, kQuantised = 2 };
+// Set in the encoding of a draft: a quantised or constant section, behind which a lossless one with its
+// corrections stands.
+inline constexpr std::uint8_t kDraftFlag = 0x80;
+
 enum class PayloadPredictor : std::uint8_t { kNone = 0, kLorenzo = 1 };
 enum class PayloadActivity : std::uint8_t {
     kNotKept = 0,
@@ -43,7 +48,7 @@ inline constexpr std::int64_t kMaxQuantiserBase = std::int64_t(1) << 52;
 // Whether no value that `width` bytes can mean leaves the finite range of `type`.
 bool isQuantiser(SampleType type, std::size_t width, double step, std::int64_t base);
 
-// A payload taken apart, its numbers checked; the streams are not decompressed yet.
+// A section of a payload taken apart, its numbers checked; the streams are not decompressed yet.
 struct PayloadParts {
     PayloadEncoding encoding = PayloadEncoding::kConstant;
     PayloadPredictor predictor = PayloadPredictor::kNone;
@@ -58,7 +63,16 @@ struct PayloadParts {
     PayloadStream mask;                               // kMask
 };
 
+// Nearly all payloads are one section. With a draft, the words of `exact` are zigzagged differences to what
+// the draft predicts (payload_words.h), or, with predictor kLorenzo, Lorenzo residuals of those differences.
+struct ParsedPayload {
+    std::optional<PayloadParts> draft;
+    PayloadParts exact;  // all there is where there is no draft
+};
+
 // Errors: kCorrupt, without the place.
-Result<PayloadParts> parsePayload(std::span<const std::byte> payload, SampleType type, int components);
+Result<ParsedPayload> parsePayload(std::span<const std::byte> payload, SampleType type, int components);
+// The section of the draft, which must be all of `draft`. Errors as above.
+Result<PayloadParts> parseDraft(std::span<const std::byte> draft, SampleType type, int components);
 
 }  // namespace brickyard

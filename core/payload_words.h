@@ -36,4 +36,16 @@ inline float numberFromOrdered(std::uint16_t word) { return floatFromHalf(bitsFr
 inline float numberFromOrdered(std::uint32_t word) { return std::bit_cast<float>(bitsFromOrdered(word)); }
 inline double numberFromOrdered(std::uint64_t word) { return std::bit_cast<double>(bitsFromOrdered(word)); }
 
+// The word of width W that a draft's sample predicts: its nearest number of that width, in ordered form.
+// REQUIRES: a finite value; one beyond the finite range of a narrower width saturates. Part of the format:
+// writer and reader must agree to the last bit.
+template <class W, class T>
+inline W orderedFromDraft(T value) {
+    static_assert(sizeof(W) >= 2 && sizeof(W) <= sizeof(T));
+    if constexpr (sizeof(W) == sizeof(T)) return orderedFromBits(std::bit_cast<W>(value));
+    if constexpr (sizeof(W) == 4) return orderedFromBits(std::bit_cast<std::uint32_t>(rendererFloat(value)));
+    if constexpr (sizeof(W) == 2 && sizeof(T) == 4) return orderedFromBits(nearestHalf(value));
+    if constexpr (sizeof(W) == 2 && sizeof(T) == 8) return orderedFromBits(nearestHalf(rendererFloat(value)));
+}
+
 }  // namespace brickyard

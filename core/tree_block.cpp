@@ -121,6 +121,10 @@ Result<void> TreeBlockCodec::readColumns(std::span<const std::byte> raw) {
     const auto bound = getColumn<float>(reader, n);
     const auto rms = getColumn<float>(reader, n);
     const auto constant = getColumn<std::uint32_t>(reader, n);
+    const auto draft_bytes = getColumn<std::uint32_t>(reader, n);
+    const auto draft_checksums = getColumn<std::uint64_t>(reader, n);
+    const auto draft_bound = getColumn<float>(reader, n);
+    const auto draft_rms = getColumn<float>(reader, n);
     block.constants_ = getColumn<ValueBits>(reader, std::size_t(header.constants) * components);
     block.grids_.resize(header.grids);
     for (ErrorGrid& grid : block.grids_) grid = reader.get<ErrorGrid>();
@@ -152,6 +156,10 @@ Result<void> TreeBlockCodec::readColumns(std::span<const std::byte> raw) {
         record.bound = bound[i];
         record.rms = rms[i];
         record.constant = constant[i];
+        record.draft_bytes = draft_bytes[i];
+        record.draft_checksum = draft_checksums[i];
+        record.draft_bound = draft_bound[i];
+        record.draft_rms = draft_rms[i];
         for (std::size_t axis = 0; axis < 3; ++axis) {
             record.box_begin[axis] = box[axis][i];
             record.box_end[axis] = box[3 + axis][i];
@@ -182,6 +190,17 @@ Result<void> TreeBlockCodec::checkRecords() const {
                 fmt::format("tree block: node {} has values from {} to {}", i, r.value_min, r.value_max));
         if (!isMagnitude(r.bound) || !isMagnitude(r.rms))
             return corrupt(fmt::format("tree block: node {} has error bound {}, RMS {}", i, r.bound, r.rms));
+        if (r.hasDraft()) {
+            if (r.draft_bytes >= r.payload_bytes || !block.isLeaf(std::uint32_t(i)))
+                return corrupt(fmt::format("tree block: node {} has a draft of {} bytes of {}, but {}", i,
+                                           r.draft_bytes, r.payload_bytes,
+                                           block.isLeaf(std::uint32_t(i)) ? "no more" : "is no leaf"));
+            if (!isMagnitude(r.draft_bound) || !isMagnitude(r.draft_rms))
+                return corrupt(fmt::format("tree block: node {} has a draft with error bound {}, RMS {}", i,
+                                           r.draft_bound, r.draft_rms));
+        } else if (r.draft_checksum != 0 || r.draft_bound != 0 || r.draft_rms != 0) {
+            return corrupt(fmt::format("tree block: node {} has no draft, but numbers of one", i));
+        }
         for (std::size_t axis = 0; axis < 3; ++axis)
             if (r.box_begin[axis] > r.box_end[axis] || r.box_end[axis] > kMaxBrickEdge)
                 return corrupt(fmt::format("tree block: node {} has a box from {} to {}", i,

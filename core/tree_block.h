@@ -43,9 +43,15 @@ struct NodeRecord {
     bool active = false;                 // state of every voxel of a leaf that stores no states: a node of one value, or a
                                          // leaf above level 0
     std::uint32_t constant = 0;          // index of its value in the block's table; only if payload_bytes == 0
+    // Prefix of the payload that decodes alone to an approximation; 0: none. Only leaves have drafts.
+    std::uint32_t draft_bytes = 0;
+    std::uint64_t draft_checksum = 0;    // XXH64 of that prefix, seed 0
+    float draft_bound = 0;               // largest deviation of the draft from level 0; rounded up
+    float draft_rms = 0;                 // as `rms`, of the draft
     std::int32_t grid = -1;              // index of its error grid; -1: `bound` and `rms` hold everywhere
 
     bool hasBrick() const { return payload_bytes > 0; }
+    bool hasDraft() const { return draft_bytes > 0; }
 };
 
 // Where a node's children start. They follow each other in octant order of the valid mask.

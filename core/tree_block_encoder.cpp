@@ -93,6 +93,11 @@ private:
         bound_.push_back(r.bound);
         rms_.push_back(r.rms);
         constant_.push_back(r.hasBrick() ? 0 : constantIndex(node.constant));
+        assert(!r.hasDraft() || (r.draft_bytes < r.payload_bytes && node.valid_mask == 0));
+        draft_bytes_.push_back(r.draft_bytes);
+        draft_checksums_.push_back(r.hasDraft() ? r.draft_checksum : 0);
+        draft_bound_.push_back(r.hasDraft() ? r.draft_bound : 0);
+        draft_rms_.push_back(r.hasDraft() ? r.draft_rms : 0);
     }
 
     std::uint32_t constantIndex(const std::vector<ValueBits>& value) {
@@ -128,6 +133,10 @@ private:
         putColumn(bound_, out);
         putColumn(rms_, out);
         putColumn(constant_, out);
+        putColumn(draft_bytes_, out);
+        putColumn(draft_checksums_, out);
+        putColumn(draft_bound_, out);
+        putColumn(draft_rms_, out);
         putColumn(constants_, out);
         for (const ErrorGrid& grid : grids_) writer.put(grid);
         assert(out.size() <= kMaxBlockRawBytes);
@@ -137,11 +146,11 @@ private:
     int components_;
     std::size_t head_nodes_;
     std::vector<const TreeNode*> nodes_;
-    std::vector<std::uint32_t> descriptors_, far_, payload_bytes_, constant_;
+    std::vector<std::uint32_t> descriptors_, far_, payload_bytes_, constant_, draft_bytes_;
     std::vector<std::uint8_t> flags_;
     std::array<std::vector<std::uint8_t>, 6> box_;
-    std::vector<std::uint64_t> payload_steps_, checksums_;
-    std::vector<float> value_min_, value_max_, bound_, rms_;
+    std::vector<std::uint64_t> payload_steps_, checksums_, draft_checksums_;
+    std::vector<float> value_min_, value_max_, bound_, rms_, draft_bound_, draft_rms_;
     std::map<std::vector<ValueBits>, std::uint32_t> constant_indices_;
     std::vector<ValueBits> constants_;
     std::vector<ErrorGrid> grids_;

@@ -32,8 +32,8 @@ struct TreeBlockHeader {
 static_assert(sizeof(TreeBlockHeader) == 28);
 
 // Bytes of a node over all columns: descriptor, flags, box, payload bytes, offset and checksum, four floats,
-// constant.
-inline constexpr std::size_t kTreeBlockNodeBytes = 4 + 1 + 6 + 4 + 8 + 8 + 4 * 4 + 4;
+// constant, draft bytes and checksum, its two floats.
+inline constexpr std::size_t kTreeBlockNodeBytes = 4 + 1 + 6 + 4 + 8 + 8 + 4 * 4 + 4 + 4 + 8 + 2 * 4;
 
 inline constexpr std::uint8_t kNodeActive = 1;
 inline constexpr std::uint8_t kNodeHasGrid = 2;

@@ -111,6 +111,11 @@ void addServeCommand(CLI::App& app, int& status) {
                      "Dataset folders; a name is its folder's without .bricks")
         ->required();
     command->add_option("--listen", arguments->listen, "HOST:PORT; port 0 picks a free one")
+        ->check([](const std::string& text) {
+            ServerOptions ignored;
+            const auto parsed = parseListen(text, ignored);
+            return parsed ? std::string() : parsed.error().message;
+        })
         ->capture_default_str();
     command->add_option("--token-file", arguments->token_file,
                         "Ask every client for the token on this file's first line");
@@ -121,6 +126,10 @@ void addServeCommand(CLI::App& app, int& status) {
         ->check(CLI::Range(std::size_t(1), std::size_t(100'000)))
         ->capture_default_str();
     command->add_option("--block-cache", arguments->block_cache, "Memory for octree topology")
+        ->check([](const std::string& text) {
+            const auto parsed = parseSize(text);
+            return parsed ? std::string() : parsed.error().message;
+        })
         ->capture_default_str();
     command->add_option("--idle-timeout", arguments->idle_seconds, "Seconds until a silent client is dropped")
         ->check(CLI::Range(0.1, 1e6))

@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <cfloat>
 #include <cmath>
 #include <mutex>
 #include <set>
@@ -186,7 +187,10 @@ private:
         const DecodedBrick& decoded = **brick;
         const std::size_t count = decoded.values.size() / sampleBytes(decoded.type);
         for (std::size_t i = 0; i < count; ++i) {
-            const double value = toDouble(decoded.type, sampleBits(decoded.type, decoded.values, i));
+            // Ranges are floats: what lies beyond them is recorded as the largest float.
+            const double value =
+                std::clamp(toDouble(decoded.type, sampleBits(decoded.type, decoded.values, i)),
+                           -double(FLT_MAX), double(FLT_MAX));
             if (value >= double(record.value_min) && value <= double(record.value_max)) continue;
             add(reader.channel().name(), toString(node.key), begin, end,
                 fmt::format("holds {}, outside the range [{}, {}] of its node", value, record.value_min,
@@ -258,10 +262,9 @@ CheckReport checkDataset(const std::filesystem::path& folder, const ParallelFor&
             report.faults.push_back({(folder / entry.file()).string(), {}, {}, 0, 0, store.error().message});
         if (progress) progress(++done, std::size_t(manifest.frames_size()), report.bytes);
     }
-    std::sort(report.faults.begin(), report.faults.end(),
-                     [](const CheckFault& a, const CheckFault& b) {
-                         return std::tie(a.file, a.begin, a.message) < std::tie(b.file, b.begin, b.message);
-                     });
+    std::sort(report.faults.begin(), report.faults.end(), [](const CheckFault& a, const CheckFault& b) {
+        return std::tie(a.file, a.begin, a.message) < std::tie(b.file, b.begin, b.message);
+    });
     return report;
 }
 

@@ -17,60 +17,34 @@ namespace {
 struct CommandEntry {
     const char* name;
     void (*add)(CLI::App& app, int& status);  // null: left out of this build
-    const char* cmake_option;                 // what brings it back
+    const char* cmake_option;                 // what brings it back; empty for what is never left out
 };
 
 // In the order of their use.
 constexpr CommandEntry kCommands[] = {
-    CommandEntry{"convert",
-#ifdef BRICKYARD_COMMAND_CONVERT
-                 addConvertCommand,
+#ifdef BRICKYARD_WITH_OPENVDB
+    {"convert", addConvertCommand, "BRICKYARD_OPENVDB"},
 #else
-                 nullptr,
+    {"convert", nullptr, "BRICKYARD_OPENVDB"},
 #endif
-                 "BRICKYARD_OPENVDB"},
-    CommandEntry{"info",
-#ifdef BRICKYARD_COMMAND_INFO
-                 addInfoCommand,
+    {"info", addInfoCommand, ""},
+    {"verify", addVerifyCommand, ""},
+#ifdef BRICKYARD_WITH_OPENVDB
+    {"export", addExportCommand, "BRICKYARD_OPENVDB"},
 #else
-                 nullptr,
+    {"export", nullptr, "BRICKYARD_OPENVDB"},
 #endif
-                 ""},
-    CommandEntry{"verify",
-#ifdef BRICKYARD_COMMAND_VERIFY
-                 addVerifyCommand,
+    {"sample", addSampleCommand, ""},
+#ifdef BRICKYARD_WITH_SERVER
+    {"serve", addServeCommand, "BRICKYARD_SERVER"},
 #else
-                 nullptr,
+    {"serve", nullptr, "BRICKYARD_SERVER"},
 #endif
-                 ""},
-    CommandEntry{"export",
-#ifdef BRICKYARD_COMMAND_EXPORT
-                 addExportCommand,
+#ifdef BRICKYARD_WITH_CLIENT
+    {"render", addRenderCommand, "BRICKYARD_CLIENT"},
 #else
-                 nullptr,
+    {"render", nullptr, "BRICKYARD_CLIENT"},
 #endif
-                 "BRICKYARD_OPENVDB"},
-    CommandEntry{"sample",
-#ifdef BRICKYARD_COMMAND_SAMPLE
-                 addSampleCommand,
-#else
-                 nullptr,
-#endif
-                 ""},
-    CommandEntry{"serve",
-#ifdef BRICKYARD_COMMAND_SERVE
-                 addServeCommand,
-#else
-                 nullptr,
-#endif
-                 "BRICKYARD_SERVER"},
-    CommandEntry{"render",
-#ifdef BRICKYARD_COMMAND_RENDER
-                 addRenderCommand,
-#else
-                 nullptr,
-#endif
-                 "BRICKYARD_CLIENT"},
 };
 
 // Takes any arguments, so that the answer is the missing option and not a complaint about the first of them.

@@ -54,7 +54,7 @@ inline double meanPositive(const Cell& cell, const glm::dvec3& from, const glm::
 template <class Visit>
 void walkCells(const float* samples, BrickShape shape, const NodeKey& key, const NodeRecord& record, const IndexRay& ray,
                RaySpan span, Visit&& visit) {
-    const double edge = std::ldexp(1.0, key.level);  // of a cell, in index units
+    const double edge = cellEdge(key.level);  // of a cell, in index units
     const glm::dvec3 low = nodeLow(key, shape);
     glm::dvec3 box_low, box_high;
     for (int a = 0; a < 3; ++a) {

@@ -1,6 +1,7 @@
 #include "client/cpu/channel_ray.h"
 
 #include <algorithm>
+#include <array>
 
 #include "client/cpu/cell_walk.h"
 
@@ -10,6 +11,27 @@ namespace {
 
 // Relative rounding of one segment's integral: float samples are exact, so only the double arithmetic counts.
 constexpr double kRounding = 1e-12;
+
+// The effective deviation is rms^0.6 * bound^0.4: deviations have heavy tails, and a ray that grazes the busy corner of a
+// sub-box sees more than its mean. Measured in docs/decisions/0002-error-estimate.md.
+constexpr double kTailShare = 0.4;
+
+double effectiveSquare(double rms, double bound) {
+    return rms > 0 ? std::pow(rms, 2 * (1 - kTailShare)) * std::pow(bound, 2 * kTailShare) : 0;
+}
+
+// The same from the codes of an error grid, for a scale of 1: each code is a power of two.
+struct CodeSquares {
+    std::array<double, 256> rms{}, bound{};
+    CodeSquares() {
+        for (int code = 1; code < 256; ++code) {
+            const double octaves = (code - 255) / 8.0;
+            rms[std::size_t(code)] = std::exp2(2 * (1 - kTailShare) * octaves);
+            bound[std::size_t(code)] = std::exp2(2 * kTailShare * octaves);
+        }
+    }
+};
+const CodeSquares kCodeSquares;
 
 }  // namespace
 
@@ -24,6 +46,8 @@ void ChannelRay::append(const WalkedNode& node, double worth, std::vector<RaySeg
     segment.span = node.span;
     segment.node = node;
     segment.worth = worth;
+    if (node.status == WalkStatus::kNode)
+        errorsOf(node.record(), node.block->errorGrid(node.ref.node), node.key, node.span, segment.half_width, segment.variance);
     if (node.status == WalkStatus::kMissingBlock) segment.state = SegmentState::kBlocked;
     out.push_back(std::move(segment));
 }
@@ -48,17 +72,19 @@ void ChannelRay::want(const WantedPage& page, std::uint32_t bytes, double worth,
 }
 
 // Strict half-width and variance of the integral over `span`, from the node's error grid where it has one.
-// Variance: RMS^2 x length x one voxel of the level (DESIGN.md, section 11).
+// Variance: square of the effective deviation x length x one voxel of the level (DESIGN.md, section 11).
 void ChannelRay::errorsOf(const NodeRecord& record, const ErrorGrid* grid, const NodeKey& key, RaySpan span,
                           double& half_width, double& variance) const {
     half_width = variance = 0;
     if (record.bound == 0) return;
-    const double voxel = std::ldexp(unit_length_, key.level);
-    auto add = [&](double bound, double rms, double length) {
-        half_width += bound * scale_ * length;
-        variance += rms * rms * scale_ * scale_ * length * voxel;
-    };
-    if (!grid) return add(double(record.bound), double(record.rms), span.end - span.begin);
+    const double voxel = unit_length_ * cellEdge(key.level);
+    const double length = span.end - span.begin;
+    if (!grid) {
+        half_width = double(record.bound) * scale_ * length;
+        variance = effectiveSquare(double(record.rms), double(record.bound)) * scale_ * scale_ * length * voxel;
+        return;
+    }
+    const double unit_square = double(record.bound) * double(record.bound) * scale_ * scale_ * voxel;
 
     const double edge = nodeEdge(key, channel_->shape()) / kErrorGridEdge;
     const glm::dvec3 low = nodeLow(key, channel_->shape());
@@ -81,8 +107,8 @@ void ChannelRay::errorsOf(const NodeRecord& record, const ErrorGrid* grid, const
         const double t_exit = std::min(t_next[a], span.end);
         const std::size_t at = std::size_t(box[0] + kErrorGridEdge * (box[1] + kErrorGridEdge * box[2]));
         if (t_exit > t) {
-            add(double(errorFromCode(grid->bound[at], record.bound)), double(errorFromCode(grid->rms[at], record.bound)),
-                t_exit - t);
+            half_width += double(errorFromCode(grid->bound[at], record.bound)) * scale_ * (t_exit - t);
+            variance += unit_square * kCodeSquares.rms[grid->rms[at]] * kCodeSquares.bound[grid->bound[at]] * (t_exit - t);
             t = t_exit;
         }
         if (t_next[a] >= span.end) break;
@@ -104,16 +130,18 @@ void ChannelRay::integrateBrick(const float* samples, const WalkedNode& node, Ra
     const NodeRecord& record = node.record();
     const double background = std::max(0.0, double(channel_->background())) * scale_;
     double sum = 0, t = segment.span.begin;
-    segment.cells.clear();
+    // Gathered aside, so that the segment holds as much as it needs and a thread allocates once.
+    thread_local std::vector<CellStep> cells;
+    cells.clear();
     auto step = [&](double end, double amount) {
         sum += amount;
         t = end;
-        if (keep_cells_) segment.cells.push_back({end, sum, 0, 0});
+        if (keep_cells_) cells.push_back({end, sum, 0, 0});
     };
     // Outside the node's tight box, and between what was visited, lies background.
     auto gap = [&](double end) {
         if (end <= t) return;
-        if (background > 0 || (keep_cells_ && !segment.cells.empty() && end < segment.span.end))
+        if (background > 0 || (keep_cells_ && !cells.empty() && end < segment.span.end))
             step(end, background * (end - t));
     };
     walkCells(samples, channel_->shape(), node.key, record, ray_, segment.span,
@@ -124,16 +152,16 @@ void ChannelRay::integrateBrick(const float* samples, const WalkedNode& node, Ra
                       return;
                   }
                   if (begin > t) {
-                      if (keep_cells_ && segment.cells.empty() && background == 0) step(begin, 0);
+                      if (keep_cells_ && cells.empty() && background == 0) step(begin, 0);
                       else gap(begin);
                   }
                   step(end, mean * scale_ * (end - begin));
               });
     gap(segment.span.end);
 
+    segment.cells.assign(cells.begin(), cells.end());
     segment.integral = sum;
-    double& half_width = segment.half_width;
-    errorsOf(record, node.block->errorGrid(node.ref.node), node.key, segment.span, half_width, segment.variance);
+    const double half_width = segment.half_width;
     // The range of the node's values bounds the integral too.
     const double length = (segment.span.end - segment.span.begin) * scale_;
     segment.low = std::max(sum * (1 - kRounding) - half_width,
@@ -145,9 +173,13 @@ void ChannelRay::integrateBrick(const float* samples, const WalkedNode& node, Ra
 }
 
 void ChannelRay::replace(std::size_t at, std::vector<RaySegment> with) {
-    segments_.erase(segments_.begin() + std::ptrdiff_t(at));
-    segments_.insert(segments_.begin() + std::ptrdiff_t(at), std::make_move_iterator(with.begin()),
-                     std::make_move_iterator(with.end()));
+    const auto place = segments_.begin() + std::ptrdiff_t(at);
+    if (with.empty()) {
+        segments_.erase(place);
+        return;
+    }
+    *place = std::move(with.front());
+    segments_.insert(place + 1, std::make_move_iterator(with.begin() + 1), std::make_move_iterator(with.end()));
 }
 
 // A stretch whose block was missing: what the walk finds now takes its place. False while the block has not come.
@@ -220,9 +252,10 @@ bool ChannelRay::integrate(const RayContext& context, double opaque_depth) {
     return complete;
 }
 
-bool ChannelRay::expectChildren(const RaySegment& segment, const RayContext& context, Expected& out) const {
+bool ChannelRay::planSplit(const RaySegment& segment, const RayContext& context, Split& out) const {
     bool known = true;
     out = {};
+    out.children.reserve(4);
     walkChildren(*channel_, ray_, segment.node, [&](const WalkedNode& child) {
         if (child.status == WalkStatus::kMissingBlock) {
             const WantedPage page{true, {channel_->index(), child.missing_block, 0}};
@@ -231,33 +264,22 @@ bool ChannelRay::expectChildren(const RaySegment& segment, const RayContext& con
             if (!known) want(page, std::uint32_t(channel_->blockBytes(child.missing_block)), segment.worth, context);
             return false;
         }
+        append(child, 0, out.children);
         if (child.status == WalkStatus::kBackground) return true;
-        double half_width = 0, variance = 0;
-        errorsOf(child.record(), child.block->errorGrid(child.ref.node), child.key, child.span, half_width, variance);
-        out.half_width += half_width;
-        out.variance += variance;
+        out.half_width += out.children.back().half_width;
+        out.variance += out.children.back().variance;
         out.bytes += child.record().payload_bytes;
         return true;
     });
     return known;
 }
 
-void ChannelRay::split(const std::vector<double>& worth) {
-    std::vector<RaySegment> next;
-    next.reserve(segments_.size() + 8);
-    for (std::size_t i = 0; i < segments_.size(); ++i) {
-        if (!(worth[i] > 0)) {
-            next.push_back(std::move(segments_[i]));
-            continue;
-        }
-        const std::size_t first = next.size();
-        walkChildren(*channel_, ray_, segments_[i].node, [&](const WalkedNode& child) {
-            append(child, worth[i], next);
-            return true;
-        });
-        for (std::size_t c = first; c < next.size(); ++c) next[c].worth /= double(next.size() - first);
+void ChannelRay::split(std::size_t at, Split plan, double worth) {
+    for (RaySegment& child : plan.children) {
+        child.effect = segments_[at].effect;
+        child.worth = worth / double(plan.children.size());
     }
-    segments_ = std::move(next);
+    replace(at, std::move(plan.children));
 }
 
 // Down from the roots while all of a node's bricks are resident; the last brick on the way stands in.
@@ -289,6 +311,7 @@ void ChannelRay::standIn(const RaySegment& segment, const RayContext& context, s
         } else if (!node.record().hasBrick()) {
             integrateConstant(double(toFloat(channel_->type(), node.block->constant(node.ref.node)[0])), part);
         } else if (const float* samples = context.cache->find(pageOf(node.ref))) {
+            errorsOf(node.record(), node.block->errorGrid(node.ref.node), node.key, node.span, part.half_width, part.variance);
             integrateBrick(samples, node, part);
         } else {
             // The middle of its range, with all of the range as its error.

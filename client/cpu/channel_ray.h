@@ -39,8 +39,11 @@ struct RaySegment {
     // All of the integral of max(0, value) * scale over the span:
     double integral = 0;
     double low = 0, high = 0;  // the true one lies within, always
-    double half_width = 0;     // that of any part of the span is off by no more than this
+    // Known from topology alone, before the segment is integrated:
+    double half_width = 0;     // the integral of any part of the span is off by no more than this
     double variance = 0;       // of its expected error
+    // Set by whoever refines the ray:
+    double effect = 0;         // d(pixel) / d(integral); children take it over
     double worth = 1;          // expected picture error that its page removes
     std::vector<CellStep> cells;
     // Where light has got to: steps before `lit` have their shadow; then a shadow ray under way.
@@ -80,19 +83,19 @@ public:
         return !segment.failed && segment.node.status == WalkStatus::kNode && canDescend(segment.node);
     }
     // World edge of a voxel of the segment's level, along the ray.
-    double voxelLength(const RaySegment& segment) const { return std::ldexp(unit_length_, segment.node.key.level); }
-    // Variance and half-width that the children would have, from topology alone, and how many bricks they are.
-    // False where their block has not arrived: it is wanted.
-    struct Expected {
+    double voxelLength(const RaySegment& segment) const { return unit_length_ * cellEdge(segment.node.key.level); }
+    // What splitting a segment would put in its place, with the errors that topology tells, and the bytes of their bricks.
+    struct Split {
+        std::vector<RaySegment> children;
         double variance = 0;
         double half_width = 0;
         std::uint32_t bytes = 0;
         bool failed = false;  // their block cannot be had: the segment stays as it is
     };
-    bool expectChildren(const RaySegment& segment, const RayContext& context, Expected& out) const;
-    // Replaces each segment of a positive worth by its children, who share that worth. REQUIRES: canSplit and
-    // expectChildren for each such one.
-    void split(const std::vector<double>& worth);
+    // False where the children's block has not arrived: it is wanted. REQUIRES: canSplit.
+    bool planSplit(const RaySegment& segment, const RayContext& context, Split& out) const;
+    // Carries out the plan of segment `at`; its children share `worth`.
+    void split(std::size_t at, Split plan, double worth);
 
     // For a picture that must be shown now: segments that wait are integrated from the nearest resident brick above,
     // with the errors that has. Leaves the ray itself as it is.

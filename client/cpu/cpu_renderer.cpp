@@ -192,30 +192,34 @@ void CpuPicture::traceTile(std::uint32_t index, WantList& wants) {
     const RayContext ray_context = context(wants, index);
     Picture& picture = outcome_.picture;
     RayComposite composite;
-    auto finish = [&](std::uint32_t at) { picture.pixels[at] = composite.pixel(); };
+    // True when the pixel is final.
+    auto advance = [&](PixelRay& ray, std::uint32_t at) {
+        const RayTracer::Progress progress =
+            tracer_->advance(at % picture.width, at / picture.width, ray, ray_context, composite);
+        if (progress != RayTracer::Progress::kMissing) {
+            picture.pixels[at] = composite.pixel();
+        } else if (outcome_.passes == 0) {
+            // The first picture shows something everywhere: what is resident stands in for what is not.
+            picture.pixels[at] = tracer_->provisional(ray, ray_context).pixel();
+        }
+        return progress == RayTracer::Progress::kFinal;
+    };
     if (!tile.begun) {
         tile.begun = true;
         for (std::uint32_t y = tile.y0; y < tile.y1; ++y)
             for (std::uint32_t x = tile.x0; x < tile.x1; ++x) {
                 const std::uint32_t at = y * picture.width + x;
                 PixelRay ray;
-                if (tracer_->advance(x, y, ray, ray_context, composite)) {
-                    finish(at);
-                    if (!failed_.empty() && RayTracer::hasFailed(ray)) outcome_.final = false;
-                } else {
-                    tile.rays.push_back(std::move(ray));
-                    tile.where.push_back(at);
-                }
+                if (advance(ray, at)) continue;
+                tile.rays.push_back(std::move(ray));
+                tile.where.push_back(at);
             }
         return;
     }
     std::size_t kept = 0;
     for (std::size_t i = 0; i < tile.rays.size(); ++i) {
         const std::uint32_t at = tile.where[i];
-        if (tracer_->advance(at % picture.width, at / picture.width, tile.rays[i], ray_context, composite)) {
-            finish(at);
-            continue;
-        }
+        if (advance(tile.rays[i], at)) continue;
         if (kept != i) {
             tile.rays[kept] = std::move(tile.rays[i]);
             tile.where[kept] = at;
@@ -328,9 +332,8 @@ Result<RenderOutcome> CpuPicture::run() {
     while (more && !late()) {
         if (Result<void> drawn = pass(); !drawn) return tl::unexpected(drawn.error());
         if (outcome_.passes == 1) {
-            const Clock::time_point begin = Clock::now();
-            drawProvisional();
-            outcome_.seconds_render += secondsSince(begin);
+            // Tiles that the cache had no room for get their first look too.
+            if (std::any_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return !tile.begun; })) drawProvisional();
             outcome_.seconds_first_image = secondsSince(begin_);
         }
         done = 0;

@@ -27,8 +27,10 @@ struct WalkedNode {
 // Level 0 has no children, whatever a hostile block says.
 inline bool canDescend(const WalkedNode& node) { return node.key.level > 0 && !node.block->isLeaf(node.ref.node); }
 
+// Edge of a level's cells in index units.
+inline double cellEdge(int level) { return double(std::uint64_t(1) << level); }
 // Low corner and edge of a node's region in index space.
-inline double nodeEdge(const NodeKey& key, BrickShape shape) { return std::ldexp(double(shape.edge_cells), key.level); }
+inline double nodeEdge(const NodeKey& key, BrickShape shape) { return shape.edge_cells * cellEdge(key.level); }
 inline glm::dvec3 nodeLow(const NodeKey& key, BrickShape shape) {
     return glm::dvec3(key.x, key.y, key.z) * nodeEdge(key, shape);
 }

@@ -60,7 +60,8 @@ bool RayTracer::goodEnough(const RayComposite& composite, bool with_light) const
     return composite.estimate_alpha <= estimate_target_ && composite.estimate_radiance <= estimate_target_;
 }
 
-bool RayTracer::advance(std::uint32_t x, std::uint32_t y, PixelRay& ray, const RayContext& context, RayComposite& out) const {
+RayTracer::Progress RayTracer::advance(std::uint32_t x, std::uint32_t y, PixelRay& ray, const RayContext& context,
+                                       RayComposite& out) const {
     if (!ray.begun) {
         ray.begun = true;
         ray.world = plan_.camera->ray(x, y);
@@ -72,102 +73,112 @@ bool RayTracer::advance(std::uint32_t x, std::uint32_t y, PixelRay& ray, const R
         }
     }
     const std::vector<RaySegment>* emission = ray.emission ? &ray.emission->segments() : nullptr;
+    auto composite = [&](bool with_light) {
+        return compositeRay(plan_, ray.world.direction, ray.density.segments(), emission, with_light);
+    };
+    Progress progress = Progress::kMissing;
     for (;;) {
         // Both channels are asked before either answer counts: all that is missing is wanted at once.
         const bool have_density = ray.density.integrate(context, opaque_depth_);
         const bool have_emission = !ray.emission || ray.emission->integrate(context, std::numeric_limits<double>::infinity());
-        if (!have_density || !have_emission) return false;
+        if (!have_density || !have_emission) return progress;
 
         // Levels first, then light: shadows are traced on the cut that the opacity settled for.
         if (!plan_.quality.reference) {
-            const RayComposite unlit = compositeRay(plan_, ray.world.direction, ray.density.segments(), emission, false);
-            if (!goodEnough(unlit, shadows_.has_value())) {
-                const Refined refined = refine(ray, unlit, context);
+            out = composite(false);
+            if (!shadows_) progress = Progress::kDrawn;
+            if (!goodEnough(out, shadows_.has_value())) {
+                const Refined refined = refine(ray, out, context);
                 if (refined == Refined::kSplit) continue;
-                if (refined == Refined::kWaiting) return false;
+                if (refined == Refined::kWaiting) return progress;
             }
+            if (!shadows_) return Progress::kFinal;
         }
-        if (shadows_ && !lightAll(ray, context)) return false;
-        out = compositeRay(plan_, ray.world.direction, ray.density.segments(), emission, shadows_.has_value());
-        if (plan_.quality.reference || !shadows_ || goodEnough(out, true)) return true;
+        if (shadows_ && !lightAll(ray, context)) return progress;
+        out = composite(shadows_.has_value());
+        if (plan_.quality.reference || goodEnough(out, true)) return Progress::kFinal;
+        progress = Progress::kDrawn;
         const Refined refined = refine(ray, out, context);
-        if (refined == Refined::kDone) return true;
-        if (refined == Refined::kWaiting) return false;
+        if (refined == Refined::kDone) return Progress::kFinal;
+        if (refined == Refined::kWaiting) return progress;
     }
 }
 
+// Splits on what topology tells, without waiting for the bricks between: a ray goes from its coarse look to the cut that
+// its error asks for in one step, and pays for no level on the way.
 RayTracer::Refined RayTracer::refine(PixelRay& ray, const RayComposite& composite, const RayContext& context) const {
     const QualitySettings& quality = plan_.quality;
-    struct Candidate {
-        bool emission = false;
-        std::size_t segment = 0;
-        double gain = 0;   // of what is summed up below
-        double per_byte = 0;
-    };
-    std::vector<Candidate> candidates;
-    bool waiting = false;
-    double sum = 0;  // strict: half-widths of what matters; else variance of the pixel
-
-    auto consider = [&](ChannelRay& channel, bool is_emission, std::size_t i, double effect) {
-        const RaySegment& segment = channel.segments()[i];
-        const double now = quality.strict ? effect * segment.half_width : effect * effect * segment.variance;
-        sum += now;
-        if (!(now > 0) || !channel.canSplit(segment)) return;
-        if (quality.pixels_per_voxel > 0) {
-            const double middle = 0.5 * (segment.span.begin + segment.span.end);
-            if (channel.voxelLength(segment) <= quality.pixels_per_voxel * plan_.camera->pixelEdge() * middle) return;
-        }
-        ChannelRay::Expected expected;
-        if (!channel.expectChildren(segment, context, expected)) {
-            waiting = true;
-            return;
-        }
-        if (expected.failed) return;
-        const double then = quality.strict ? effect * expected.half_width : effect * effect * expected.variance;
-        // A node whose children promise nothing is split all the same when nothing better is left: they end somewhere.
-        const double gain = std::max(now - then, 1e-3 * now);
-        candidates.push_back({is_emission, i, gain, gain / double(expected.bytes + 1)});
-    };
-
     const bool alpha_matters = quality.strict ? composite.bound_alpha > quality.max_error
                                               : composite.estimate_alpha > estimate_target_;
     const bool radiance_matters = quality.strict ? composite.bound_radiance > quality.max_error
                                                  : composite.estimate_radiance > estimate_target_;
+    // Strict: what a half-width can do to the transmittance, at most. Else: first order.
     const double strict_effect = std::exp(-composite.optical_low);
     for (std::size_t i = 0; i < ray.density.segments().size(); ++i) {
-        double effect = 0;
-        if (quality.strict) {
-            effect = alpha_matters || radiance_matters ? strict_effect : 0;
-        } else {
-            if (alpha_matters) effect = composite.density_alpha[i];
-            if (radiance_matters) effect = std::max(effect, composite.density_radiance[i]);
-        }
-        consider(ray.density, false, i, effect);
+        double effect = quality.strict ? strict_effect : alpha_matters ? composite.density_alpha[i] : 0;
+        if (!quality.strict && radiance_matters) effect = std::max(effect, composite.density_radiance[i]);
+        ray.density.segments()[i].effect = effect;
     }
-    if (ray.emission && radiance_matters)
+    if (ray.emission)
         for (std::size_t i = 0; i < ray.emission->segments().size(); ++i)
-            consider(*ray.emission, true, i, composite.emission_radiance[i]);
-    if (waiting) return Refined::kWaiting;
-    if (candidates.empty()) return Refined::kDone;
+            ray.emission->segments()[i].effect = radiance_matters ? composite.emission_radiance[i] : 0;
 
-    // The best per byte, until what would be left is within the target.
-    std::sort(candidates.begin(), candidates.end(), [](const Candidate& a, const Candidate& b) {
-        if (a.per_byte != b.per_byte) return a.per_byte > b.per_byte;
-        return std::pair(a.emission, a.segment) < std::pair(b.emission, b.segment);
-    });
+    auto errorOf = [&](const RaySegment& segment) {
+        return quality.strict ? segment.effect * segment.half_width : segment.effect * segment.effect * segment.variance;
+    };
+    // Ranked by what a split does for all rays: the node's squared error over its volume; 0 where nothing can be gained.
+    // Rays that agree on the order share their bricks; a rank of each ray's own would have the union of all rays'
+    // favourites loaded.
+    auto rankOf = [&](const ChannelRay& channel, const RaySegment& segment) {
+        if (!(errorOf(segment) > 0) || !channel.canSplit(segment)) return 0.0;
+        if (quality.pixels_per_voxel > 0) {
+            const double middle = 0.5 * (segment.span.begin + segment.span.end);
+            if (channel.voxelLength(segment) <= quality.pixels_per_voxel * plan_.camera->pixelEdge() * middle) return 0.0;
+        }
+        const double deviation = double(quality.strict ? segment.node.record().bound : segment.node.record().rms);
+        const double edge = cellEdge(segment.node.key.level);
+        return deviation * deviation * edge * edge * edge * edge;
+    };
+
+    std::vector<ChannelRay*> channels{&ray.density};
+    if (ray.emission) channels.push_back(&*ray.emission);
+    std::vector<std::vector<double>> ranks(channels.size());
+    double sum = 0;
+    for (std::size_t c = 0; c < channels.size(); ++c)
+        for (const RaySegment& segment : channels[c]->segments()) {
+            sum += errorOf(segment);
+            ranks[c].push_back(rankOf(*channels[c], segment));
+        }
     const double target = quality.strict ? quality.max_error : estimate_target_ * estimate_target_;
-    std::vector<double> density_worth(ray.density.segments().size(), 0);
-    std::vector<double> emission_worth(ray.emission ? ray.emission->segments().size() : 0, 0);
     bool any = false;
-    for (const Candidate& candidate : candidates) {
-        if (any && sum <= target) break;
+    while (!any || sum > target) {
+        std::size_t best_channel = 0, best = 0;
+        double best_rank = 0;
+        for (std::size_t c = 0; c < channels.size(); ++c)
+            for (std::size_t i = 0; i < ranks[c].size(); ++i)
+                if (ranks[c][i] > best_rank) best_channel = c, best = i, best_rank = ranks[c][i];
+        if (!(best_rank > 0)) break;
+        ChannelRay& channel = *channels[best_channel];
+        std::vector<double>& list = ranks[best_channel];
+        const RaySegment& segment = channel.segments()[best];
+        ChannelRay::Split plan;
+        // Without its block nothing more can be decided; what was split so far can be integrated meanwhile.
+        if (!channel.planSplit(segment, context, plan)) return any ? Refined::kSplit : Refined::kWaiting;
+        if (plan.failed) {
+            list[best] = 0;
+            continue;
+        }
+        const double now = errorOf(segment);
+        const double then = quality.strict ? segment.effect * plan.half_width : segment.effect * segment.effect * plan.variance;
         any = true;
-        sum -= candidate.gain;
-        (candidate.emission ? emission_worth : density_worth)[candidate.segment] = candidate.gain;
+        sum -= now - then;
+        const std::size_t count = plan.children.size();
+        channel.split(best, std::move(plan), std::max(now - then, 1e-3 * now));
+        list.erase(list.begin() + std::ptrdiff_t(best));
+        for (std::size_t k = 0; k < count; ++k)
+            list.insert(list.begin() + std::ptrdiff_t(best + k), rankOf(channel, channel.segments()[best + k]));
     }
-    ray.density.split(density_worth);
-    if (ray.emission) ray.emission->split(emission_worth);
-    return Refined::kSplit;
+    return any ? Refined::kSplit : Refined::kDone;
 }
 
 RayComposite RayTracer::provisional(const PixelRay& ray, const RayContext& context) const {

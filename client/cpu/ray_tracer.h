@@ -20,8 +20,10 @@ class RayTracer {
 public:
     explicit RayTracer(const RenderPlan& plan);
 
-    // Goes on with a pixel as far as the pages allow. True when it is final; then `out` is its last value.
-    bool advance(std::uint32_t x, std::uint32_t y, PixelRay& ray, const RayContext& context, RayComposite& out) const;
+    // Goes on with a pixel as far as the pages allow. kFinal: `out` is its last value. kDrawn: pages are missing, and
+    // `out` is the pixel of the last cut that was whole. kMissing: there is no such cut yet.
+    enum class Progress { kMissing, kDrawn, kFinal };
+    Progress advance(std::uint32_t x, std::uint32_t y, PixelRay& ray, const RayContext& context, RayComposite& out) const;
     // The pixel as it can be drawn now, with the errors of what stands in for missing pages.
     RayComposite provisional(const PixelRay& ray, const RayContext& context) const;
     // Whether a page that cannot be had has a part in it.

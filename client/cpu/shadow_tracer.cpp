@@ -74,7 +74,7 @@ bool ShadowTracer::trace(const glm::dvec3& from, RaySegment& segment, const RayC
     };
     auto varianceOf = [&](const NodeRecord& record, const NodeKey& key, double length) {
         const double rms = double(record.rms) * scale;
-        return rms * rms * length * std::ldexp(unit_length_, key.level);
+        return rms * rms * length * unit_length_ * cellEdge(key.level);
     };
     walkOctree(
         density, ray, span,

@@ -2,11 +2,15 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <sys/wait.h>
+#include <unistd.h>
 
 #include <cstdio>
+#include <cstdlib>
 #include <fstream>
 #include <sstream>
 #include <string>
+#include <utility>
+#include <vector>
 
 namespace brickyard {
 namespace {
@@ -74,6 +78,28 @@ TEST(CommandLine, WrongUsageIsOneLineThatPointsToTheHelp) {
         EXPECT_EQ(outcome.out, "");
         expectOneLine(outcome.err);
         EXPECT_THAT(outcome.err, HasSubstr("--help"));
+    }
+}
+
+// Only a build without one of the options can show this.
+TEST(CommandLine, ACommandThatWasLeftOutNamesItsOption) {
+    std::vector<std::pair<std::string, std::string>> left_out;
+#ifndef BRICKYARD_WITH_OPENVDB
+    left_out.emplace_back("convert", "-DBRICKYARD_OPENVDB=ON");
+#endif
+#ifndef BRICKYARD_WITH_SERVER
+    left_out.emplace_back("serve", "-DBRICKYARD_SERVER=ON");
+#endif
+#ifndef BRICKYARD_WITH_CLIENT
+    left_out.emplace_back("render", "-DBRICKYARD_CLIENT=ON");
+#endif
+    if (left_out.empty()) GTEST_SKIP() << "this build has every command";
+    for (const auto& [command, option] : left_out) {
+        const Outcome outcome = brickyard(command + " whatever --json");
+        EXPECT_EQ(outcome.status, 1);
+        EXPECT_EQ(outcome.out, "");
+        expectOneLine(outcome.err);
+        EXPECT_THAT(outcome.err, HasSubstr(option));
     }
 }
 
