@@ -56,6 +56,7 @@ StreamHeader headerOf(const PageWish& list) {
             ref.set_channel(page.address.channel);
             ref.set_block(page.address.block);
             ref.set_node(page.address.node);
+            ref.set_draft(page.address.draft);
         }
     }
     if (!list.views.empty()) {
@@ -145,7 +146,7 @@ struct RemoteSource::State {
                 break;
             case StreamHeader::kPage: {
                 const PageRef& ref = header.page().ref();
-                onPage({false, {ref.channel(), ref.block(), ref.node()}}, header.page().frame(),
+                onPage({false, {ref.channel(), ref.block(), ref.node(), ref.draft()}}, header.page().frame(),
                        frame->payload);
                 break;
             }

@@ -6,6 +6,7 @@
 #include <mutex>
 
 #include "core/brick_codec.h"
+#include "core/brick_store.h"
 #include "core/deviation.h"
 #include "core/float_rounding.h"
 #include "core/level_reduction.h"
@@ -22,6 +23,8 @@ constexpr double kCoarseQuantisation = 0.1;
 constexpr double kCoarseShareOfError = 0.25;
 // Parts measured by one task: fixed, so that sums do not depend on the number of threads.
 constexpr std::size_t kPartsPerTask = 32;
+// A draft of a level-0 brick is kept to this part of its parent's RMS error: a hundredth of its variance at most.
+constexpr double kDraftShareOfParent = 0.1;
 // Bricks encoded before they are appended in order.
 constexpr std::size_t kBricksPerBatch = 512;
 
@@ -414,7 +417,7 @@ void ChannelBuilder::prune() {
         }
 }
 
-void ChannelBuilder::encodeFinest(const SampleBlock& block, Node& node,
+void ChannelBuilder::encodeFinest(const SampleBlock& block, double parent_rms, Node& node,
                                   std::vector<std::byte>& payload) const {
     const ChannelInfo& info = field_.info();
     const std::size_t n = std::size_t(options_.shape.edge_cells), s = n + 1;
@@ -432,24 +435,35 @@ void ChannelBuilder::encodeFinest(const SampleBlock& block, Node& node,
     brick.active = active;
     brick.background = info.background;
     brick.max_error = options_.max_error;
+    brick.draft_error = options_.max_error == 0 ? kDraftShareOfParent * parent_rms : 0;
     EncodedBrick encoded = encodeBrick(brick);
     payload = std::move(encoded.payload);
     node.deviation = encoded.error_made;
-    if (encoded.error_made == 0) return;
 
-    const Result<DecodedBrick> decoded =
-        decodeBrick(payload, options_.shape, info.type, info.components, info.background);
-    assert(decoded && "the codec reads what it wrote");
-    std::vector<double> before, after;
-    samplesToDouble(info.type, block.values, before);
-    samplesToDouble(info.type, decoded->values, after);
-    double squares = 0;
-    for (std::size_t i = 0; i < before.size(); ++i) {
-        const double d = (after[i] - before[i]) / scale_;
-        squares += d * d;
+    auto rmsOf = [&](const Result<DecodedBrick>& decoded) {
+        assert(decoded && "the codec reads what it wrote");
+        std::vector<double> before, after;
+        samplesToDouble(info.type, block.values, before);
+        samplesToDouble(info.type, decoded->values, after);
+        double squares = 0;
+        for (std::size_t i = 0; i < before.size(); ++i) {
+            const double d = (after[i] - before[i]) / scale_;
+            squares += d * d;
+        }
+        return scale_ * std::sqrt(squares / double(before.size()));
+    };
+    if (encoded.draft_bytes > 0) {
+        const std::span<const std::byte> draft(payload.data(), encoded.draft_bytes);
+        node.record.draft_bytes = std::uint32_t(encoded.draft_bytes);
+        node.record.draft_checksum = checksum(draft);
+        node.record.draft_bound = roundUp(encoded.draft_error_made);
+        node.record.draft_rms = std::min(roundUp(rmsOf(decodeDraft(draft, options_.shape, info.type, info.components))),
+                                         node.record.draft_bound);
     }
+    if (encoded.error_made == 0) return;
     node.record.bound = roundUp(encoded.error_made);
-    node.record.rms = std::min(roundUp(scale_ * std::sqrt(squares / double(before.size()))), node.record.bound);
+    node.record.rms = std::min(
+        roundUp(rmsOf(decodeBrick(payload, options_.shape, info.type, info.components, info.background))), node.record.bound);
     node.record.value_min = roundDown(double(node.record.value_min) - encoded.error_made);
     node.record.value_max = roundUp(double(node.record.value_max) + encoded.error_made);
 }
@@ -469,7 +483,9 @@ Result<void> ChannelBuilder::writeFinest(FrameWriter& writer, std::size_t& done,
             SampleBlock block;
             if (Result<void> read = field_.read(closedRegion(brick.key, options_.shape), block); !read)
                 return first.add(i, read.error());
-            encodeFinest(block, node, payloads[i]);
+            const double parent_rms =
+                levelCount() > 1 ? double(level(1)[plan_.indexOf(brick.key.parent())].record.rms) : 0;
+            encodeFinest(block, parent_rms, node, payloads[i]);
         });
         if (Result<void> result = first.result(); !result) return result;
         for (std::size_t i = 0; i < count; ++i) {

@@ -57,7 +57,7 @@ private:
     void summarise(const PlannedNode& planned, Node& node);
     Result<void> readStatistics();
     void prune();
-    void encodeFinest(const SampleBlock& block, Node& node, std::vector<std::byte>& payload) const;
+    void encodeFinest(const SampleBlock& block, double parent_rms, Node& node, std::vector<std::byte>& payload) const;
     std::unique_ptr<TreeNode> treeNode(const NodeKey& key);
     std::size_t componentCount() const { return std::size_t(field_.info().components); }
 

@@ -31,7 +31,7 @@ Result<WishWalk> WishWalk::create(std::shared_ptr<const FrameReader> frame, Page
     wish.credit_bytes = std::min(wish.credit_bytes, kMaxWishBytes);
     // A block has no node number: the same block must always have the same address.
     for (WishedPage& page : wish.pages)
-        if (page.is_block) page.address.node = 0;
+        if (page.is_block) page.address.node = 0, page.address.draft = false;
     WishWalk walk(std::move(frame), std::move(wish));
     for (CameraView& view : walk.wish_.views) {
         auto camera = PinholeCamera::create(view.camera, view.width, view.height);
@@ -111,14 +111,14 @@ std::optional<WishWalk::Step> WishWalk::read(const WishedPage& page) {
         const auto found = frame_->findBrick(page.address);
         if (!found) return Step{page, tl::unexpected(found.error())};
         record = *found;
-        bytes = record.payload_bytes;
+        bytes = page.address.draft ? record.draft_bytes : record.payload_bytes;
     }
     if (bytes > wish_.credit_bytes - sent_bytes_) {
         credit_exhausted_ = true;
         return std::nullopt;
     }
     auto read = page.is_block ? frame_->store().readBlock(page.address.channel, page.address.block)
-                              : frame_->readBrick(record);
+                              : frame_->readBrick(record, page.address.draft);
     if (read) sent_bytes_ += read->size();
     return Step{page, std::move(read)};
 }

@@ -129,11 +129,12 @@ HttpReply listing(const HttpRequest& request, const Catalog& catalog) {
 HttpReply frameResource(const HttpRequest& request, const FrameReader& frame,
                         std::span<const std::string> rest) {
     if (rest.empty()) return json(request, frame.footer(), frame.store().footerChecksum());
-    // channels/C/blocks/B or channels/C/pages/B/N
+    // channels/C/blocks/B or channels/C/pages/B/N[/draft]
     const bool is_block = rest.size() == 4 && rest[2] == "blocks";
-    const bool is_page = rest.size() == 5 && rest[2] == "pages";
+    const bool is_draft = rest.size() == 6 && rest[5] == "draft";
+    const bool is_page = (rest.size() == 5 || is_draft) && rest[2] == "pages";
     if (rest[0] != "channels" || !(is_block || is_page))
-        return text(404, "nothing here; a frame has channels/C/blocks/B and channels/C/pages/B/N");
+        return text(404, "nothing here; a frame has channels/C/blocks/B and channels/C/pages/B/N[/draft]");
     const auto channel = numberOf(rest[1]), block = numberOf(rest[3]);
     const auto node = is_page ? numberOf(rest[4]) : std::optional<std::uint32_t>(0);
     if (!channel || !block || !node) return text(400, "channel, block and node are whole numbers from 0");
@@ -143,9 +144,10 @@ HttpReply frameResource(const HttpRequest& request, const FrameReader& frame,
         const BlockRef& ref = frame.footer().channels(int(*channel)).blocks(int(*block));
         return stored(request, ref.xxh64(), frame.store().readBlock(*channel, *block));
     }
-    const auto record = frame.findBrick({*channel, *block, *node});
+    const auto record = frame.findBrick({*channel, *block, *node, is_draft});
     if (!record) return failed(record.error());
-    return stored(request, record->payload_checksum, frame.readBrick(*record));
+    return stored(request, is_draft ? record->draft_checksum : record->payload_checksum,
+                  frame.readBrick(*record, is_draft));
 }
 
 }  // namespace

@@ -12,7 +12,7 @@ PageWish pageWishOf(const Wish& wish) {
     for (const BlockWish& block : wish.blocks())
         list.pages.push_back({true, {block.channel(), block.block(), 0}});
     for (const PageRef& page : wish.pages())
-        list.pages.push_back({false, {page.channel(), page.block(), page.node()}});
+        list.pages.push_back({false, {page.channel(), page.block(), page.node(), page.draft()}});
     if (wish.has_camera()) {
         const CameraWish& seen = wish.camera();
         CameraView view;
@@ -71,6 +71,7 @@ StreamHeader WishQueue::describe(const WishWalk::Step& step) const {
             failed.mutable_page()->set_channel(address.channel);
             failed.mutable_page()->set_block(address.block);
             failed.mutable_page()->set_node(address.node);
+            failed.mutable_page()->set_draft(address.draft);
         }
     } else if (step.page.is_block) {
         auto& block = *header.mutable_block_page();
@@ -87,6 +88,7 @@ StreamHeader WishQueue::describe(const WishWalk::Step& step) const {
         page.mutable_ref()->set_channel(address.channel);
         page.mutable_ref()->set_block(address.block);
         page.mutable_ref()->set_node(address.node);
+        page.mutable_ref()->set_draft(address.draft);
     }
     return header;
 }

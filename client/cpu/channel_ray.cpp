@@ -46,10 +46,25 @@ void ChannelRay::append(const WalkedNode& node, double worth, std::vector<RaySeg
     segment.span = node.span;
     segment.node = node;
     segment.worth = worth;
-    if (node.status == WalkStatus::kNode)
-        errorsOf(node.record(), node.block->errorGrid(node.ref.node), node.key, node.span, segment.half_width, segment.variance);
+    if (node.status == WalkStatus::kNode) {
+        segment.draft = !finest_ && node.record().hasDraft();
+        describeErrors(segment);
+    }
     if (node.status == WalkStatus::kMissingBlock) segment.state = SegmentState::kBlocked;
     out.push_back(std::move(segment));
+}
+
+void ChannelRay::describeErrors(RaySegment& segment) const {
+    const WalkedNode& node = segment.node;
+    if (segment.draft) {
+        const double length = scale_ * (segment.span.end - segment.span.begin);
+        segment.half_width = double(node.record().draft_bound) * length;
+        segment.variance = effectiveSquare(double(node.record().draft_rms), double(node.record().draft_bound)) * scale_ *
+                           length * unit_length_ * cellEdge(node.key.level);
+        return;
+    }
+    errorsOf(node.record(), node.block->errorGrid(node.ref.node), node.key, segment.span, segment.half_width,
+             segment.variance);
 }
 
 void ChannelRay::begin(bool finest) {
@@ -225,10 +240,10 @@ bool ChannelRay::integrate(const RayContext& context, double opaque_depth) {
                 const ValueBits bits = node.block->constant(node.ref.node)[0];
                 integrateConstant(double(toFloat(channel_->type(), bits)), segment);
                 segment.state = SegmentState::kDone;
-            } else if (const float* samples = context.cache->find(pageOf(node.ref))) {
+            } else if (const float* samples = context.cache->find(pageOf(node.ref, segment.draft))) {
                 integrateBrick(samples, node, segment);
                 segment.state = SegmentState::kDone;
-            } else if (context.failed->contains({false, pageOf(node.ref)})) {
+            } else if (context.failed->contains({false, pageOf(node.ref, segment.draft)})) {
                 std::vector<RaySegment> parts;
                 standIn(segment, context, parts);
                 for (RaySegment& part : parts) part.failed = true;
@@ -236,7 +251,8 @@ bool ChannelRay::integrate(const RayContext& context, double opaque_depth) {
                 continue;
             } else {
                 const NodeRecord& record = node.record();
-                want({false, pageOf(node.ref)}, record.payload_bytes, segment.worth, context);
+                want({false, pageOf(node.ref, segment.draft)}, segment.draft ? record.draft_bytes : record.payload_bytes,
+                     segment.worth, context);
                 complete = false;
                 depth += std::max(0.0, double(record.value_min)) * scale_ * (segment.span.end - segment.span.begin);
             }
@@ -255,6 +271,17 @@ bool ChannelRay::integrate(const RayContext& context, double opaque_depth) {
 bool ChannelRay::planSplit(const RaySegment& segment, const RayContext& context, Split& out) const {
     bool known = true;
     out = {};
+    if (segment.draft) {
+        // The same stretch from the whole brick.
+        RaySegment& whole = out.children.emplace_back();
+        whole.span = segment.span;
+        whole.node = segment.node;
+        describeErrors(whole);
+        out.half_width = whole.half_width;
+        out.variance = whole.variance;
+        out.bytes = segment.node.record().payload_bytes;
+        return true;
+    }
     out.children.reserve(4);
     walkChildren(*channel_, ray_, segment.node, [&](const WalkedNode& child) {
         if (child.status == WalkStatus::kMissingBlock) {
@@ -268,7 +295,7 @@ bool ChannelRay::planSplit(const RaySegment& segment, const RayContext& context,
         if (child.status == WalkStatus::kBackground) return true;
         out.half_width += out.children.back().half_width;
         out.variance += out.children.back().variance;
-        out.bytes += child.record().payload_bytes;
+        out.bytes += out.children.back().draft ? child.record().draft_bytes : child.record().payload_bytes;
         return true;
     });
     return known;
@@ -287,7 +314,8 @@ void ChannelRay::standIn(const RaySegment& segment, const RayContext& context, s
     const int level = segment.node.status == WalkStatus::kNode ? segment.node.key.level : 0;
     auto resident = [&](const NodeRef& ref) {
         const TreeBlock* block = channel_->block(ref.block);
-        return block && (!block->record(ref.node).hasBrick() || context.cache->contains(pageOf(ref)));
+        return block && (!block->record(ref.node).hasBrick() || context.cache->contains(pageOf(ref, false)) ||
+                         context.cache->contains(pageOf(ref, true)));
     };
     auto descend = [&](const WalkedNode& node) {
         if (node.key.level <= level) return false;
@@ -310,9 +338,13 @@ void ChannelRay::standIn(const RaySegment& segment, const RayContext& context, s
             part.high = part.half_width = part.variance = std::numeric_limits<float>::max();
         } else if (!node.record().hasBrick()) {
             integrateConstant(double(toFloat(channel_->type(), node.block->constant(node.ref.node)[0])), part);
-        } else if (const float* samples = context.cache->find(pageOf(node.ref))) {
-            errorsOf(node.record(), node.block->errorGrid(node.ref.node), node.key, node.span, part.half_width, part.variance);
-            integrateBrick(samples, node, part);
+        } else if (const float* whole = context.cache->find(pageOf(node.ref, false))) {
+            describeErrors(part);
+            integrateBrick(whole, node, part);
+        } else if (const float* draft = context.cache->find(pageOf(node.ref, true))) {
+            part.draft = true;
+            describeErrors(part);
+            integrateBrick(draft, node, part);
         } else {
             // The middle of its range, with all of the range as its error.
             const double low = std::max(0.0, double(node.record().value_min));

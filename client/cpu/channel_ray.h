@@ -35,6 +35,7 @@ struct RaySegment {
     RaySpan span;
     WalkedNode node;  // status kBackground for a stretch without a node
     SegmentState state = SegmentState::kWaiting;
+    bool draft = false;   // from the draft of the node's brick; its split is the whole brick
     bool failed = false;  // its page cannot be had; drawn from above, and the picture is not final
     // All of the integral of max(0, value) * scale over the span:
     double integral = 0;
@@ -80,7 +81,7 @@ public:
 
     // Whether a finer node could take the segment's place.
     bool canSplit(const RaySegment& segment) const {
-        return !segment.failed && segment.node.status == WalkStatus::kNode && canDescend(segment.node);
+        return !segment.failed && segment.node.status == WalkStatus::kNode && (segment.draft || canDescend(segment.node));
     }
     // World edge of a voxel of the segment's level, along the ray.
     double voxelLength(const RaySegment& segment) const { return unit_length_ * cellEdge(segment.node.key.level); }
@@ -111,7 +112,8 @@ private:
                   double& variance) const;
     void integrateBrick(const float* samples, const WalkedNode& node, RaySegment& segment) const;
     void integrateConstant(double value, RaySegment& segment) const;
-    PageAddress pageOf(const NodeRef& ref) const { return {channel_->index(), ref.block, ref.node}; }
+    PageAddress pageOf(const NodeRef& ref, bool draft) const { return {channel_->index(), ref.block, ref.node, draft}; }
+    void describeErrors(RaySegment& segment) const;
 
     const PagedChannel* channel_ = nullptr;
     IndexRay ray_;

@@ -156,7 +156,7 @@ Result<void> CpuPicture::take(const PageWish& wish) {
 
 void CpuPicture::arrive(const Arrival& arrival) {
     const PageAddress& address = arrival.page.address;
-    const WantedPage key{arrival.page.is_block, {address.channel, address.block, arrival.page.is_block ? 0 : address.node}};
+    const WantedPage key{arrival.page.is_block, address};
     auto failed = [&](const std::string& why) {
         // Once more: a flipped bit on the way is not one on the disk.
         if (arrival.bytes && retried_.insert(key).second) return;
@@ -174,12 +174,16 @@ void CpuPicture::arrive(const Arrival& arrival) {
     if (cache_->contains(address)) return;
     const NodeRecord& record = block->record(address.node);
     const std::string where = fmt::format("channel '{}': brick {} of tree block {}", channel->name(), address.node, address.block);
-    if (arrival.bytes->size() != record.payload_bytes || checksum(*arrival.bytes) != record.payload_checksum)
+    if (address.draft && !record.hasDraft()) return;
+    if (arrival.bytes->size() != (address.draft ? record.draft_bytes : record.payload_bytes) ||
+        checksum(*arrival.bytes) != (address.draft ? record.draft_checksum : record.payload_checksum))
         return failed(where + " fails its checksum; run `brickyard verify` on the dataset");
     // Decoded aside: a payload that is refused half-way must not leave half a brick in the cache.
     std::vector<float> samples(channel->shape().samples());
     const SampleType type = levelType(channel->type(), channel->levelOf({address.block, address.node}));
-    if (Result<void> decoded = decodeBrickToFloat(*arrival.bytes, channel->shape(), type, 1, samples); !decoded)
+    const Result<void> decoded = address.draft ? decodeDraftToFloat(*arrival.bytes, channel->shape(), type, 1, samples)
+                                               : decodeBrickToFloat(*arrival.bytes, channel->shape(), type, 1, samples);
+    if (!decoded)
         return failed(where + ": " + decoded.error().message);
     float* slot = cache_->insert(address);
     if (!slot) return;  // no room now: it is wanted again

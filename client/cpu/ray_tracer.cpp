@@ -133,9 +133,12 @@ RayTracer::Refined RayTracer::refine(PixelRay& ray, const RayComposite& composit
         if (!(errorOf(segment) > 0) || !channel.canSplit(segment)) return 0.0;
         if (quality.pixels_per_voxel > 0) {
             const double middle = 0.5 * (segment.span.begin + segment.span.end);
+            // A draft is as fine as its level: it is no reason to go on where the level is fine enough.
             if (channel.voxelLength(segment) <= quality.pixels_per_voxel * plan_.camera->pixelEdge() * middle) return 0.0;
         }
-        const double deviation = double(quality.strict ? segment.node.record().bound : segment.node.record().rms);
+        const NodeRecord& record = segment.node.record();
+        const double deviation = quality.strict ? double(segment.draft ? record.draft_bound : record.bound)
+                                                : double(segment.draft ? record.draft_rms : record.rms);
         const double edge = cellEdge(segment.node.key.level);
         return deviation * deviation * edge * edge * edge * edge;
     };

@@ -90,6 +90,7 @@ bool ShadowTracer::trace(const glm::dvec3& from, RaySegment& segment, const RayC
             if (node.span.end <= segment.shadow_t) return true;
             double depth = 0;
             const double length = node.span.end - node.span.begin;
+            double variance = node.status == WalkStatus::kNode ? varianceOf(node.record(), node.key, length) : 0;
             const double background = std::max(0.0, double(density.background()));
             if (node.status == WalkStatus::kBackground) {
                 depth = background * length;
@@ -100,7 +101,12 @@ bool ShadowTracer::trace(const glm::dvec3& from, RaySegment& segment, const RayC
                 const ValueBits bits = node.block->constant(node.ref.node)[0];
                 depth = std::max(0.0, double(toFloat(density.type(), bits))) * length;
             } else {
-                const PageAddress page{density.index(), node.ref.block, node.ref.node};
+                // The draft does where its error is within the tolerance; the choice rests on the tree alone.
+                const double draft_rms = double(node.record().draft_rms) * scale;
+                const bool draft = node.record().hasDraft() &&
+                                   draft_rms * draft_rms * unit_length_ * whole <= tolerance_ * tolerance_;
+                if (draft) variance = draft_rms * draft_rms * unit_length_ * length;
+                const PageAddress page{density.index(), node.ref.block, node.ref.node, draft};
                 const float* samples = context.cache->find(page);
                 double inside = 0;
                 if (samples) {
@@ -113,13 +119,13 @@ bool ShadowTracer::trace(const glm::dvec3& from, RaySegment& segment, const RayC
                 } else if (context.failed->contains({false, page})) {
                     depth = 0.5 * (std::max(0.0, double(node.record().value_min)) + double(node.record().value_max)) * length;
                 } else {
-                    want({false, page}, node.record().payload_bytes);
+                    want({false, page}, draft ? node.record().draft_bytes : node.record().payload_bytes);
                 }
             }
             // Behind a gap nothing may be added yet; the walk goes on only to want what else is missing.
             if (blocked) return true;
             segment.shadow_depth += depth * scale;
-            if (node.status == WalkStatus::kNode) segment.shadow_variance += varianceOf(node.record(), node.key, length);
+            segment.shadow_variance += variance;
             segment.shadow_t = node.span.end;
             return segment.shadow_depth < kOpaque;
         });

@@ -58,8 +58,8 @@ struct Brick {
         return *this;
     }
 
-    EncodedBrick encode(double max_error = 0) const {
-        return encodeBrick({shape, type, components, values, active, background, max_error});
+    EncodedBrick encode(double max_error = 0, double draft_error = 0) const {
+        return encodeBrick({shape, type, components, values, active, background, max_error, draft_error});
     }
     Result<DecodedBrick> decode(std::span<const std::byte> payload) const {
         return decodeBrick(payload, shape, type, components, background);
@@ -307,6 +307,166 @@ TEST(BrickCodecTest, ValuesNeedNoAlignment) {
     EXPECT_TRUE(encoded.payload == brick.encode().payload);
 }
 
+// Smooth, with mantissas that no quantiser keeps: what drafts are for.
+Brick turbulent(SampleType type, int edge, int components = 1) {
+    std::mt19937_64 random(19);
+    return Brick(type, edge, components).fill([&](int x, int y, int z, int c) {
+        return x < 2 ? 0 : wave(x, y, z, c) + 1e-2 * double(random() % (1u << 24)) / (1u << 24);
+    });
+}
+
+double largestDeviation(const Brick& brick, const std::vector<std::byte>& values) {
+    double largest = 0;
+    for (std::size_t i = 0; i < brick.count(); ++i)
+        largest = std::max(largest, std::abs(toDouble(brick.type, brick.bitsAt(values, i)) -
+                                             toDouble(brick.type, brick.get(i))));
+    return largest;
+}
+
+Result<DecodedBrick> draftOf(const Brick& brick, const EncodedBrick& encoded) {
+    return decodeDraft(std::span(encoded.payload).first(encoded.draft_bytes), brick.shape, brick.type,
+                       brick.components);
+}
+
+TEST(BrickDraftTest, ADraftTakesAFractionAndTheWholeStaysExact) {
+    for (const SampleType type : {SampleType::kFloat32, SampleType::kFloat64})
+        for (const int components : {1, 3}) {
+            Brick brick = turbulent(type, 16, components);
+            brick.active.resize(brick.shape.cells());
+            for (std::size_t i = 0; i < brick.active.size(); ++i) brick.active[i] = i % 7 == 0;
+            const EncodedBrick plain = brick.encode(), drafted = brick.encode(0, 0.05);
+            EXPECT_EQ(plain.draft_bytes, 0u);
+            ASSERT_GT(drafted.draft_bytes, 0u) << describe(brick);
+            EXPECT_LT(double(drafted.draft_bytes), 0.5 * double(plain.payload.size())) << describe(brick);
+            EXPECT_LE(double(drafted.payload.size()), 1.08 * double(plain.payload.size()) + 1)
+                << describe(brick);
+            EXPECT_EQ(drafted.error_made, 0);
+
+            const auto exact = brick.decode(drafted.payload);
+            ASSERT_TRUE(exact) << exact.error().message;
+            EXPECT_TRUE(exact->values == brick.values) << describe(brick);
+            EXPECT_TRUE(exact->active == brick.active) << describe(brick);
+        }
+}
+
+TEST(BrickDraftTest, TheDraftIsWithinItsErrorAndReportsIt) {
+    std::mt19937_64 random(23);
+    std::vector<Brick> bricks = variousBricks();
+    for (const SampleType type : {SampleType::kFloat32, SampleType::kFloat64}) {
+        bricks.push_back(turbulent(type, 16, 3));
+        // Halves; halves at the end of their range, whose drafts may lie beyond it; denormals; both zeros.
+        bricks.push_back(Brick(type, 8).fill([&](int x, int, int, int) {
+            return double(floatFromHalf(std::uint16_t(0x3000u + unsigned(x) * 64 + random() % 64)));
+        }));
+        bricks.push_back(
+            Brick(type, 8).fill([&](int, int, int, int) { return 65504.0 - 32 * double(random() % 200); }));
+        bricks.push_back(
+            Brick(type, 8).fill([&](int, int, int, int) { return 1e-41 * double(random() % 2000); }));
+        bricks.push_back(Brick(type, 8).fill([&](int x, int, int, int) {
+            return x % 3 == 0 ? -0.0 : x % 3 == 1 ? 0.0 : double(random() % 100003) * 1e-5;
+        }));
+        bricks.push_back(Brick(type, 8).fill([&](int, int, int, int) {
+            return (random() % 2 ? 3.4028234e38 : -3.4028234e38) * (1 - 1e-7 * double(random() % 100));
+        }));
+    }
+    // A float64 brick of floats: its draft may leave the range of the width that it is kept at.
+    bricks.push_back(Brick(SampleType::kFloat64, 8).fill([&](int, int, int, int) {
+        return double(float(3.4028234e38 * (1 - 1e-7 * double(random() % 1000))));
+    }));
+
+    std::size_t drafts = 0, constant_drafts = 0;
+    for (const Brick& brick : bricks)
+        for (int exponent = -325; exponent < 309; exponent += std::abs(exponent) < 40 ? 4 : 20) {
+            if (!isFloating(brick.type) && exponent % 20 != -5) continue;  // these have none at any error
+            const double draft_error = std::max(5e-324, std::pow(10.0, exponent) * 0.7);
+            const EncodedBrick encoded = brick.encode(0, draft_error);
+            const auto exact = brick.decode(encoded.payload);
+            ASSERT_TRUE(exact) << exact.error().message;
+            ASSERT_TRUE(exact->values == brick.values) << describe(brick) << " at " << draft_error;
+            if (encoded.draft_bytes == 0) {
+                ASSERT_TRUE(encoded.payload == brick.encode().payload) << "no draft, but not plain either";
+                continue;
+            }
+            ++drafts;
+            constant_drafts += encoded.payload[1] == std::byte{0x80};
+            ASSERT_LT(encoded.draft_bytes, encoded.payload.size());
+            ASSERT_TRUE(isFloating(brick.type)) << describe(brick);
+            const auto draft = draftOf(brick, encoded);
+            ASSERT_TRUE(draft) << draft.error().message;
+            EXPECT_TRUE(draft->active.empty());
+            ASSERT_LE(encoded.draft_error_made, draft_error) << describe(brick);
+            ASSERT_EQ(largestDeviation(brick, draft->values), encoded.draft_error_made) << describe(brick);
+
+            std::vector<float> floats(brick.count()), exact_floats(brick.count());
+            ASSERT_TRUE(decodeDraftToFloat(std::span(encoded.payload).first(encoded.draft_bytes), brick.shape,
+                                           brick.type, brick.components, floats));
+            ASSERT_TRUE(
+                decodeBrickToFloat(encoded.payload, brick.shape, brick.type, brick.components, exact_floats));
+            for (std::size_t i = 0; i < brick.count(); ++i) {
+                ASSERT_EQ(floats[i], toFloat(brick.type, brick.bitsAt(draft->values, i)));
+                ASSERT_EQ(exact_floats[i], toFloat(brick.type, brick.get(i)));
+            }
+        }
+    EXPECT_GT(drafts, 100u);
+    EXPECT_GT(constant_drafts, 10u);
+}
+
+TEST(BrickDraftTest, BricksThatHaveNoUseForADraftHaveNone) {
+    const Brick smooth = turbulent(SampleType::kFloat32, 8);
+    EXPECT_EQ(smooth.encode(0.01, 0.1).draft_bytes, 0u) << "not exact";
+    EXPECT_EQ(Brick(SampleType::kInt32, 8).fill(wave).encode(0, 1).draft_bytes, 0u);
+    EXPECT_EQ(Brick(SampleType::kFloat32, 8).encode(0, 1).draft_bytes, 0u) << "one value";
+    EXPECT_EQ(smooth.encode(0, 1e-9).draft_bytes, 0u) << "the draft would be as long as the whole";
+    Brick infinite = smooth;
+    infinite.set(5, 0x7f800000u);
+    EXPECT_EQ(infinite.encode(0, 0.1).draft_bytes, 0u);
+}
+
+TEST(BrickDraftTest, ZeroStaysZeroInTheDraft) {
+    const Brick brick = turbulent(SampleType::kFloat32, 16);
+    const EncodedBrick encoded = brick.encode(0, 0.013);
+    const auto draft = draftOf(brick, encoded);
+    ASSERT_TRUE(draft) << draft.error().message;
+    for (std::size_t i = 0; i < brick.count(); ++i) {
+        if (brick.get(i) == 0) {
+            ASSERT_EQ(brick.bitsAt(draft->values, i), 0u);
+        }
+    }
+}
+
+// Drafts of both kinds in front of every width; and exact payloads, which are no drafts.
+std::vector<std::pair<Brick, EncodedBrick>> draftsToDamage() {
+    std::vector<std::pair<Brick, EncodedBrick>> drafts;
+    for (const double draft_error : {0.05, 1e3}) {
+        for (const SampleType type : {SampleType::kFloat32, SampleType::kFloat64}) {
+            Brick brick = turbulent(type, 8);
+            brick.active.resize(brick.shape.cells());
+            for (std::size_t i = 0; i < brick.active.size(); ++i) brick.active[i] = i % 7 == 0;
+            drafts.emplace_back(brick, brick.encode(0, draft_error));
+        }
+        std::mt19937 random(29);
+        const Brick halves = Brick(SampleType::kFloat32, 8).fill([&](int x, int, int, int) {
+            return double(floatFromHalf(std::uint16_t(0x4800u + unsigned(x) * 64 + random() % 64)));
+        });
+        drafts.emplace_back(halves, halves.encode(0, draft_error));
+    }
+    return drafts;
+}
+
+void expectDraftDecodersSurvive(const Brick& brick, std::span<const std::byte> draft) {
+    const std::vector<std::byte> exact(draft.begin(), draft.end());
+    const auto decoded = decodeDraft(exact, brick.shape, brick.type, brick.components);
+    std::vector<float> floats(brick.count());
+    ASSERT_EQ(bool(decoded),
+              bool(decodeDraftToFloat(exact, brick.shape, brick.type, brick.components, floats)));
+    if (decoded) {
+        ASSERT_EQ(decoded->values.size(), brick.values.size());
+        for (const float value : floats) ASSERT_TRUE(std::isfinite(value));
+    } else {
+        EXPECT_EQ(decoded.error().code, ErrorCode::kCorrupt);
+    }
+}
+
 // Payloads of every encoding and kind of states, small enough to damage at every byte.
 std::vector<std::pair<Brick, std::vector<std::byte>>> payloadsToDamage() {
     std::vector<std::pair<Brick, std::vector<std::byte>>> payloads;
@@ -361,6 +521,84 @@ TEST(BrickCodecTest, SurvivesEveryFlippedByte) {
             }
 }
 
+TEST(BrickDraftTest, RefusesEveryTruncationOfBothParts) {
+    for (const auto& [brick, encoded] : draftsToDamage()) {
+        ASSERT_GT(encoded.draft_bytes, 0u);
+        const std::vector<std::byte>& payload = encoded.payload;
+        for (std::size_t size = 0; size < payload.size(); ++size) {
+            const std::vector<std::byte> prefix(payload.begin(), payload.begin() + std::ptrdiff_t(size));
+            ASSERT_FALSE(brick.decode(prefix))
+                << "accepted the first " << size << " of " << payload.size() << " bytes";
+            ASSERT_EQ(bool(decodeDraft(prefix, brick.shape, brick.type, brick.components)),
+                      size == encoded.draft_bytes)
+                << "the first " << size << " bytes; the draft has " << encoded.draft_bytes;
+            expectDecodersSurvive(brick, prefix);
+            expectDraftDecodersSurvive(brick, prefix);
+        }
+        EXPECT_FALSE(decodeDraft(payload, brick.shape, brick.type, brick.components))
+            << "more than the draft";
+    }
+}
+
+TEST(BrickDraftTest, SurvivesEveryFlippedByteOfBothParts) {
+    for (const auto& [brick, encoded] : draftsToDamage())
+        for (std::size_t at = 0; at < encoded.payload.size(); ++at) {
+            // Mantissa bytes are many and all alike: one kind of damage each.
+            auto damaged = encoded.payload;
+            damaged[at] ^= std::byte(std::uint8_t(1u << at % 8));
+            expectDecodersSurvive(brick, damaged);
+            expectDraftDecodersSurvive(brick, std::span(damaged).first(encoded.draft_bytes));
+        }
+}
+
+TEST(BrickDraftTest, RefusesADraftThatIsNoneOrThatNothingCorrects) {
+    const Brick brick = turbulent(SampleType::kFloat32, 8);
+    const auto plain = brick.encode().payload, quantised = brick.encode(0.05).payload;
+    const EncodedBrick drafted = brick.encode(0, 0.05);
+    ASSERT_GT(drafted.draft_bytes, 0u);
+    for (const auto& payload : {plain, quantised}) {
+        const auto draft = decodeDraft(payload, brick.shape, brick.type, brick.components);
+        ASSERT_FALSE(draft);
+        EXPECT_THAT(draft.error().message, HasSubstr("without a draft"));
+        // The same payload called a draft by its flag, with something else behind it.
+        const auto cut = std::ptrdiff_t(drafted.draft_bytes);
+        std::vector<std::byte> twice(drafted.payload.begin(), drafted.payload.begin() + cut);
+        twice.insert(twice.end(), quantised.begin(), quantised.end());
+        const auto decoded = brick.decode(twice);
+        ASSERT_FALSE(decoded);
+        EXPECT_THAT(decoded.error().message, HasSubstr("nothing corrects"));
+    }
+    auto lossless = plain;
+    lossless[1] |= std::byte{0x80};
+    EXPECT_FALSE(brick.decode(lossless)) << "a lossless draft";
+    auto with_states = drafted.payload;
+    with_states[4] = std::byte{1};
+    EXPECT_FALSE(brick.decode(with_states)) << "states in the draft";
+    auto no_number = brick.encode(0, 1e3);
+    ASSERT_EQ(no_number.payload[1], std::byte{0x80});
+    no_number.payload[7] = std::byte{0x80};
+    no_number.payload[8] = std::byte{0x7f};
+    EXPECT_FALSE(brick.decode(no_number.payload)) << "a draft that is infinite";
+}
+
+TEST(NearestHalfTest, RoundsToEvenAndSaturates) {
+    // Every half is its own, and what lies between two goes to the nearer one, or to the even one.
+    for (unsigned half = 0; half < 0x7bffu; ++half) {
+        const float low = floatFromHalf(std::uint16_t(half)), high = floatFromHalf(std::uint16_t(half + 1));
+        const float middle = low + (high - low) / 2;
+        ASSERT_EQ(nearestHalf(low), half);
+        ASSERT_EQ(nearestHalf(middle), half % 2 == 0 ? half : half + 1);
+        ASSERT_EQ(nearestHalf(std::nextafter(middle, 0.0f)), half);
+        ASSERT_EQ(nearestHalf(std::nextafter(middle, 1e9f)), half + 1);
+        ASSERT_EQ(nearestHalf(-middle), nearestHalf(middle) | 0x8000u);
+    }
+    EXPECT_EQ(nearestHalf(65519.0f), 0x7bff);
+    EXPECT_EQ(nearestHalf(3e38f), 0x7bff);
+    EXPECT_EQ(nearestHalf(-3e38f), 0xfbff);
+    EXPECT_EQ(nearestHalf(-0.0f), 0x8000);
+    EXPECT_EQ(nearestHalf(1e-45f), 0);
+}
+
 TEST(BrickCodecTest, RefusesBytesBehindThePayload) {
     for (const auto& [brick, payload] : payloadsToDamage()) {
         auto longer = payload;
@@ -407,6 +645,12 @@ TEST(BrickCodecTest, OldPayloadsStillDecode) {
         {0.01,
          "0102010104f6285c8fc275943fceffffffffffffff210000801400008028b52ffd60d901bd0000506400"
          "32001a0063000100041000632ac6c4122a06110128b52ffd20405d000018fcfc000200a01122c002"},
+        // A draft like the one before and its corrections.
+        {0,
+         "0182010100f6285c8fc275943fceffffffffffffff2100008028b52ffd60d901bd000050640032001a0063000100"
+         "041000632ac6c4122a061101010102000443000080010000001400008028b52ffd60d901cd0100500000044f4f25"
+         "0326265015001754a8300a1080000036e1cc012d4000a0414000680002000d02024003100034b804124000386cb2"
+         "108081210028b52ffd20405d000018fcfc000200a01122c002"},
         // One value.
         {1e3, "0100000004000000001400008028b52ffd20405d000018fcfc000200a01122c002"},
     };

@@ -48,6 +48,14 @@ private:
             r.payload_offset = random_() % 3 == 0 ? random_() % (kFileBytes / 2) : payload_end_;
             payload_end_ = r.payload_offset + r.payload_bytes;
             r.payload_checksum = random_();
+            if (depth == 1 && random_() % 2 == 0) {
+                r.draft_bytes = std::uint32_t(random_() % r.payload_bytes);
+                if (r.hasDraft()) {
+                    r.draft_checksum = random_();
+                    r.draft_bound = fraction();
+                    r.draft_rms = r.draft_bound * fraction();
+                }
+            }
         } else {
             for (int c = 0; c < components_; ++c)
                 made->constant.push_back(random_() % 5 * 0x123456789abcdefull);
@@ -110,6 +118,10 @@ void expectEqual(const TreeNode& expected, const TreeBlock& block, std::uint32_t
     ASSERT_EQ(r.value_max, e.value_max);
     ASSERT_EQ(r.bound, e.bound);
     ASSERT_EQ(r.rms, e.rms);
+    ASSERT_EQ(r.draft_bytes, e.draft_bytes);
+    ASSERT_EQ(r.draft_checksum, e.draft_checksum);
+    ASSERT_EQ(r.draft_bound, e.draft_bound);
+    ASSERT_EQ(r.draft_rms, e.draft_rms);
     ASSERT_EQ(r.box_begin, e.box_begin);
     ASSERT_EQ(r.box_end, e.box_end);
     ASSERT_EQ(r.active, e.active);
@@ -188,6 +200,8 @@ TEST(TreeBlockTest, ALongChainIsOneBlock) {
     std::size_t nodes = 1;
     for (TreeNode* at = roots[0].get(); nodes < 32; ++nodes, at = at->children[0].get()) {
         at->valid_mask = 0x80;
+        NodeRecord& r = at->record;  // it was a leaf
+        r.draft_bytes = 0, r.draft_checksum = 0, r.draft_bound = 0, r.draft_rms = 0;
         at->children = random.roots(1, 1);
     }
     ASSERT_NO_FATAL_FAILURE(expectSameTree(roots, 1, nodes));
@@ -246,6 +260,9 @@ void useBlock(const TreeBlock& block, std::uint32_t own_index, std::uint32_t blo
         ASSERT_TRUE(std::isfinite(r.bound) && r.bound >= 0 && std::isfinite(r.rms) && r.rms >= 0);
         ASSERT_TRUE(!r.hasBrick() ||
                     (r.payload_offset <= kFileBytes && r.payload_bytes <= kFileBytes - r.payload_offset));
+        ASSERT_TRUE(std::isfinite(r.draft_bound) && r.draft_bound >= 0 && std::isfinite(r.draft_rms) &&
+                    r.draft_rms >= 0);
+        ASSERT_TRUE(!r.hasDraft() || (r.draft_bytes < r.payload_bytes && block.isLeaf(node)));
         if (!r.hasBrick())
             for (const ValueBits bits : block.constant(node)) sum += bits;
         if (const ErrorGrid* grid = block.errorGrid(node)) sum += grid->bound[63] + grid->rms[63];
@@ -463,6 +480,8 @@ TEST_F(DamagedBlockTest, RefusesNumbersThatCannotBe) {
                       payload = box + 6 * n;
     const std::size_t value_min = payload + 20 * n, value_max = value_min + 4 * n, bound = value_max + 4 * n;
     const std::size_t rms = bound + 4 * n, constant = rms + 4 * n;
+    const std::size_t draft = constant + 4 * n, draft_checksum = draft + 4 * n;
+    const std::size_t draft_bound = draft_checksum + 8 * n, draft_rms = draft_bound + 4 * n;
     const float nan = std::numeric_limits<float>::quiet_NaN(),
                 infinity = std::numeric_limits<float>::infinity();
     std::size_t with_payload = 0, of_one_value = 0;
@@ -484,25 +503,42 @@ TEST_F(DamagedBlockTest, RefusesNumbersThatCannotBe) {
     expectRefused(with(rms, n, 0, nan), "error bound");
     expectRefused(with(constant, n, of_one_value, header_.constants), "constant");
     expectRefused(with(constant, n, with_payload, std::uint32_t(1)), "constant");
+
+    std::size_t drafted = 0, plain_leaf = 0;
+    while (get<std::uint32_t>(draft, n, drafted) == 0) ++drafted;
+    while (descriptor(plain_leaf) != 0 || get<std::uint32_t>(draft, n, plain_leaf) != 0) ++plain_leaf;
+    ASSERT_LT(drafted, n);
+    ASSERT_LT(plain_leaf, n);
+    ASSERT_EQ(descriptor(drafted), 0u);
+    ASSERT_NE(descriptor(with_payload), 0u) << "the test wants an inner node with a payload";
+    expectRefused(with(draft, n, drafted, get<std::uint32_t>(payload, n, drafted)), "no more");
+    expectRefused(with(draft, n, of_one_value, std::uint32_t(1)), "draft");
+    expectRefused(with(draft, n, with_payload, std::uint32_t(1)), "is no leaf");
+    expectRefused(with(draft, n, drafted, std::uint32_t(0)), "has no draft");
+    expectRefused(with(draft_checksum, n, plain_leaf, std::uint64_t(1)), "has no draft");
+    expectRefused(with(draft_bound, n, plain_leaf, 1.0f), "has no draft");
+    expectRefused(with(draft_bound, n, drafted, -1.0f), "draft with error bound");
+    expectRefused(with(draft_bound, n, drafted, infinity), "draft with error bound");
+    expectRefused(with(draft_rms, n, drafted, nan), "draft with error bound");
 }
 
 // A block written by the first version: it must decode for ever.
 TEST(TreeBlockTest, AnOldBlockStillDecodes) {
     const std::string hex =
-        "28b52ffd603d00ed0300c4044259544201010000030000000100014202020001010300000e10100f1010"
-        "1010103284d06b000707ef1000cd3200ab540089760067980045ba0023dc0001fe3f40403f8000003e00"
-        "003fffc816008001b000d8501003640076e0e217366003181a8c71296ea4b80612b488e62e98d9d48bd0"
-        "cd3b5d632f4ec08012";
+        "28b52ffd607900ad040072061621a06b58038a1a3ec4e3158805fe959df64057f8e0d6dbe7f477198c297e597bcb14"
+        "970e65900e4cb870e2c58d21837f38425515c5b11a410b2285f13179554e98b789a28e8c64babb3be90e3064f6792c"
+        "6b8736b32e85151a008000e4ea44ef2ec00280f7d202e23101039fad41009219f4850358008606635c8a1b29ae8104"
+        "2da2b90b6636f52274f34ed7d88b1330a004";
     std::vector<std::byte> stored;
     for (std::size_t i = 0; i < hex.size(); i += 2)
         stored.push_back(std::byte(std::stoul(hex.substr(i, 2), nullptr, 16)));
-    const auto block = decodeStoredBlock(stored, /*raw_bytes=*/317, 0, 1, 2000, 1);
+    const auto block = decodeStoredBlock(stored, /*raw_bytes=*/377, 0, 1, 2000, 1);
     ASSERT_TRUE(block) << block.error().message;
     ASSERT_EQ(block->nodeCount(), 3u);
     EXPECT_EQ(block->headNodes(), 1u);
 
-    // A root with a brick and a grid; its child in octant 1 has a brick, the one in octant 6 is 0.5
-    // everywhere.
+    // A root with a brick and a grid; its child in octant 1 has a brick with a draft, the one in octant 6 is
+    // 0.5 everywhere.
     EXPECT_EQ(block->validMask(0), 0x42);
     EXPECT_EQ(block->leafMask(0), 0x42);
     EXPECT_EQ(block->children(0).first, 1u);
@@ -522,6 +558,11 @@ TEST(TreeBlockTest, AnOldBlockStillDecodes) {
     EXPECT_EQ(brick.payload_offset, 100u);
     EXPECT_EQ(brick.payload_bytes, 900u);
     EXPECT_EQ(brick.value_max, 2.0f);
+    EXPECT_EQ(brick.draft_bytes, 300u);
+    EXPECT_EQ(brick.draft_checksum, 0x0f1e2d3c4b5a6978ull);
+    EXPECT_EQ(brick.draft_bound, 0.0625f);
+    EXPECT_EQ(brick.draft_rms, 0.03125f);
+    EXPECT_FALSE(root.hasDraft());
     EXPECT_EQ(block->errorGrid(1), nullptr);
     EXPECT_FALSE(tile.hasBrick());
     EXPECT_TRUE(tile.active);

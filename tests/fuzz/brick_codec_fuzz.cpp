@@ -1,5 +1,6 @@
-// The input as a payload: both decoders must survive it and agree. The input as samples and states: what was
-// encoded must come back, within the error that was allowed and with the error that was reported.
+// The input as a payload and as a draft: both decoders of each must survive it and agree. The input as
+// samples and states: what was encoded must come back, within the error that was allowed and with the error
+// that was reported; so must its draft.
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
@@ -42,6 +43,27 @@ void readAsPayload(std::span<const std::byte> payload, BrickShape shape, SampleT
     }
 }
 
+void readAsDraft(std::span<const std::byte> payload, BrickShape shape, SampleType type, int components) {
+    std::vector<float> floats(shape.samples() * std::size_t(components));
+    const bool decoded = bool(decodeDraftToFloat(payload, shape, type, components, floats));
+    const auto brick = decodeDraft(payload, shape, type, components);
+    require(decoded == bool(brick));
+    if (!brick) return;
+    require(isFloating(type) && brick->active.empty());
+    for (std::size_t i = 0; i < floats.size(); ++i) {
+        require(std::isfinite(floats[i]));
+        require(floats[i] == toFloat(type, bitsAt(brick->values, type, i)));
+    }
+}
+
+double deviation(const std::vector<std::byte>& a, const std::vector<std::byte>& b, SampleType type) {
+    double largest = 0;
+    for (std::size_t i = 0; i < a.size() / sampleBytes(type); ++i)
+        largest = std::max(largest,
+                           std::abs(toDouble(type, bitsAt(a, type, i)) - toDouble(type, bitsAt(b, type, i))));
+    return largest;
+}
+
 void roundTrip(std::span<const std::byte> input, BrickShape shape, SampleType type, int components,
                double max_error) {
     std::vector<std::byte> values(shape.samples() * std::size_t(components) * sampleBytes(type));
@@ -65,16 +87,26 @@ void roundTrip(std::span<const std::byte> input, BrickShape shape, SampleType ty
     require(encoded.error_made <= max_error);
     const auto brick = decodeBrick(encoded.payload, shape, type, components, background);
     require(bool(brick));
+
+    // The same brick exactly, with what was its error now its draft's.
+    const EncodedBrick drafted =
+        encodeBrick({shape, type, components, values, active, background, /*max_error=*/0, max_error});
+    const auto exact = decodeBrick(drafted.payload, shape, type, components, background);
+    require(exact && exact->values == values && exact->active == active);
+    if (drafted.draft_bytes > 0) {
+        require(finite && drafted.draft_bytes < drafted.payload.size() &&
+                drafted.draft_error_made <= max_error);
+        const auto draft =
+            decodeDraft(std::span(drafted.payload).first(drafted.draft_bytes), shape, type, components);
+        require(draft && deviation(values, draft->values, type) == drafted.draft_error_made);
+    }
+
     require(brick->active == active);
     if (encoded.error_made == 0 && (!finite || !isFloating(type) || max_error == 0)) {
         require(brick->values == values);
         return;
     }
-    double error = 0;
-    for (std::size_t i = 0; i < values.size() / sampleBytes(type); ++i)
-        error = std::max(error, std::abs(toDouble(type, bitsAt(values, type, i)) -
-                                         toDouble(type, bitsAt(brick->values, type, i))));
-    require(error == encoded.error_made);
+    require(deviation(values, brick->values, type) == encoded.error_made);
 }
 
 }  // namespace
@@ -87,6 +119,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     const double max_error = data[2] == 0 ? 0 : std::pow(2.0, (int(data[2]) - 128) / 2.0);
     const auto input = std::as_bytes(std::span(data, size)).subspan(3);
     readAsPayload(input, shape, type, components);
+    readAsDraft(input, shape, type, components);
     roundTrip(input, shape, type, components, max_error);
     return 0;
 }

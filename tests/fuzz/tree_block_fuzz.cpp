@@ -39,6 +39,8 @@ void requireSame(const TreeNode& expected, const std::vector<TreeBlock>& blocks,
     require(r.payload_bytes == e.payload_bytes && r.payload_offset == e.payload_offset);
     require(r.payload_checksum == e.payload_checksum && r.active == e.active);
     require(r.value_min == e.value_min && r.value_max == e.value_max && r.bound == e.bound && r.rms == e.rms);
+    require(r.draft_bytes == e.draft_bytes && r.draft_checksum == e.draft_checksum);
+    require(r.draft_bound == e.draft_bound && r.draft_rms == e.draft_rms);
     require(r.box_begin == e.box_begin && r.box_end == e.box_end);
     if (!e.hasBrick())
         require(std::equal(expected.constant.begin(), expected.constant.end(), in.constant(node).begin()));
