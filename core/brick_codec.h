@@ -41,7 +41,7 @@ struct EncodedBrick {
     std::vector<std::byte> payload;
     double error_made = 0;  // measured by decoding this payload
     // Prefix of `payload` that decodes alone, below payload.size(); 0: no draft, because none was asked for or none
-    // paid (the whole would be over 8 % larger than without, or the draft not below 70 % of that).
+    // paid (the whole would be over 18 % larger than without, or the draft not below half of that).
     std::size_t draft_bytes = 0;
     double draft_error_made = 0;  // measured by decoding the draft; at most draft_error
 };

@@ -22,6 +22,10 @@ namespace {
 
 // Version, encoding, width, predictor, activity.
 constexpr std::size_t kSectionHeaderBytes = 5;
+// A draft pays where it is less than half of the plain payload and makes the whole no more than this much larger.
+// Floats grow by 3 to 6 %, halves, whose noise is thin, by 10 to 17 % (docs/decisions/0003-drafts.md).
+constexpr double kMostDraftShare = 0.5;
+constexpr double kMostGrowth = 1.18;
 
 // A section of a payload but for its states.
 struct Candidate {
@@ -218,13 +222,11 @@ private:
     void addDraft(Sections& sections) const
         requires std::is_floating_point_v<T>
     {
-        // The whole payload may grow by 8 % and the draft must stay below 70 %: above either, fetching twice
-        // is worse than fetching once.
         const auto plain = double(kSectionHeaderBytes + sections.exact.bytes());
         Candidate draft = approximated(brick_.draft_error);
         if (draft.parameters.empty()) return;
         const auto draft_bytes = double(kSectionHeaderBytes + draft.bytes());
-        if (draft_bytes >= 0.7 * plain) return;
+        if (draft_bytes >= kMostDraftShare * plain) return;
 
         Candidate corrections;
         switch (sections.exact.width) {
@@ -232,7 +234,7 @@ private:
             case 4: corrections = correctionsAs<std::uint32_t>(draft); break;
             default: corrections = correctionsAs<std::uint64_t>(draft); break;
         }
-        if (draft_bytes + double(kSectionHeaderBytes + corrections.bytes()) > 1.08 * plain) return;
+        if (draft_bytes + double(kSectionHeaderBytes + corrections.bytes()) > kMostGrowth * plain) return;
         sections.draft = std::move(draft);
         sections.exact = std::move(corrections);
     }

@@ -59,7 +59,8 @@ public:
         deadline_ = Clock::now() + options.handshake_timeout;
         stream_.async_accept(upgrade_, [self = shared_from_this()](ErrorCondition error) {
             self->upgrade_ = {};
-            if (error) return;
+            self->accepted_ = true;
+            if (error || self->closing_) return;
             self->watch();
             self->read();
         });
@@ -140,6 +141,8 @@ private:
 
     void close(websocket::close_code code) {
         if (closing_) return;
+        // A WebSocket that is still being made cannot say goodbye.
+        if (!accepted_) return drop();
         closing_ = true;
         watchdog_.cancel();
         // Bounded by the handshake timeout.
@@ -162,7 +165,7 @@ private:
     beast::flat_buffer in_;
     OutMessage out_;  // lives while it is being written
     Clock::time_point write_began_;
-    bool reading_ = false, writing_ = false, closing_ = false;
+    bool accepted_ = false, reading_ = false, writing_ = false, closing_ = false;
     std::uint64_t sent_messages_ = 0, sent_bytes_ = 0;
 };
 

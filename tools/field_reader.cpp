@@ -159,13 +159,16 @@ std::array<double, 3> FieldReader::interpolate(const FieldNode& node, const Deco
                                                const glm::dvec3& index) const {
     const IndexBox region = ownedRegion(node.key);
     const BrickShape n = shape();
-    const double cell = std::ldexp(1.0, node.key.level);
+    const double per_voxel = std::ldexp(1.0, -node.key.level);
     std::array<int, 3> corner{};
     std::array<double, 3> t{};
     for (std::size_t a = 0; a < 3; ++a) {
-        const double local = (index[int(a)] - double(region.begin[a])) / cell;
-        corner[a] = std::clamp(int(std::floor(local)), 0, n.edge_cells - 1);
-        t[a] = local - corner[a];
+        // Scaling by a power of two and taking the fraction are exact; a subtraction of the brick's origin
+        // would not be.
+        const double at = index[int(a)] * per_voxel, first = double(region.begin[a]) * per_voxel;
+        const double cell = std::clamp(std::floor(at), first, first + n.edge_cells - 1);
+        corner[a] = int(cell - first);
+        t[a] = at - cell;
     }
     std::array<double, 3> result{};
     for (int c = 0; c < components(); ++c) {

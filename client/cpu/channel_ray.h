@@ -59,6 +59,10 @@ struct RayContext {
     const std::unordered_set<WantedPage, WantedPageHash>* failed = nullptr;
     WantList* wants = nullptr;
     std::uint32_t tile = 0;
+    // Pages that the cache could take in after this pass. A ray that is blocked once this many are wanted stops looking for
+    // more: in a small cache the first rays are to be finished, not all of them begun.
+    std::size_t room = SIZE_MAX;
+    bool full() const { return wants->size() >= room; }
 };
 
 class ChannelRay {

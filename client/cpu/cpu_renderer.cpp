@@ -59,7 +59,9 @@ private:
     }
     bool late() const { return request_.deadline && Clock::now() - begin_ >= *request_.deadline; }
     void forEachThread(const std::function<void(unsigned)>& body) const;
-    RayContext context(WantList& wants, std::uint32_t tile) const { return {&*cache_, &failed_, &wants, tile}; }
+    RayContext context(WantList& wants, std::uint32_t tile) const {
+        return {&*cache_, &failed_, &wants, tile, std::max<std::size_t>(1, cache_->room() / threads_)};
+    }
 
     BrickSource& source_;
     const RenderRequest& request_;
@@ -198,6 +200,8 @@ void CpuPicture::traceTile(std::uint32_t index, WantList& wants) {
     RayComposite composite;
     // True when the pixel is final.
     auto advance = [&](PixelRay& ray, std::uint32_t at) {
+        // Where the cache is full of wants already, a ray waits its turn: it would only want more.
+        if (outcome_.passes > 0 && ray_context.full()) return false;
         const RayTracer::Progress progress =
             tracer_->advance(at % picture.width, at / picture.width, ray, ray_context, composite);
         if (progress != RayTracer::Progress::kMissing) {

@@ -46,6 +46,7 @@ bool RayTracer::lightAll(PixelRay& ray, const RayContext& context) const {
     for (RaySegment& segment : ray.density.segments()) {
         if (segment.state != SegmentState::kDone) return false;
         complete &= shadows_->light(ray.density, segment, std::exp(-before), least_weight_, context);
+        if (!complete && context.full()) return false;
         before += segment.integral;
     }
     return complete;

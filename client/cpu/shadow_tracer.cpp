@@ -123,7 +123,7 @@ bool ShadowTracer::trace(const glm::dvec3& from, RaySegment& segment, const RayC
                 }
             }
             // Behind a gap nothing may be added yet; the walk goes on only to want what else is missing.
-            if (blocked) return true;
+            if (blocked) return !context.full();
             segment.shadow_depth += depth * scale;
             segment.shadow_variance += variance;
             segment.shadow_t = node.span.end;

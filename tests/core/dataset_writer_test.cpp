@@ -253,7 +253,7 @@ TEST_F(ManifestTest, RefusesWhatCannotBe) {
 }
 
 TEST_F(ManifestTest, AFrameFileOfAnotherDatasetIsRefused) {
-    const FrameEntry& entry = Dataset::open(folder_)->manifest().frames(0);
+    const FrameEntry entry = Dataset::open(folder_)->manifest().frames(0);
     writeBallFrame(folder_ / entry.file(), 1, 7);
     const auto frame = Dataset::open(folder_)->openFrame(1);
     ASSERT_FALSE(frame);

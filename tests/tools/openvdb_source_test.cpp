@@ -175,9 +175,13 @@ TEST_F(OpenVdbSourceTest, PositionsOutsideInt32AreInactiveBackground) {
 TEST_F(OpenVdbSourceTest, MinusZeroAndZeroAreNotOneValue) {
     auto grid = openvdb::FloatGrid::create(0.0f);
     grid->setName("zero");
-    grid->tree().setValueOff(openvdb::Coord(3, 3, 3), -0.0f);
+    // Active, all of them: files drop the sign of an inactive zero.
+    grid->fill(openvdb::CoordBBox(openvdb::Coord(0), openvdb::Coord(15)), 0.0f, true);
+    grid->tree().touchLeaf(openvdb::Coord(0))->setValueOn(openvdb::Coord(3, 3, 3), -0.0f);
     writeGrids(file_, {grid});
-    EXPECT_FALSE(read().fields.at(0)->uniformOver({{0, 0, 0}, {8, 8, 8}}));
+    const VdbContents contents = read();
+    EXPECT_FALSE(contents.fields.at(0)->uniformOver({{0, 0, 0}, {8, 8, 8}}));
+    EXPECT_TRUE(contents.fields.at(0)->uniformOver({{8, 8, 8}, {16, 16, 16}}));
 }
 
 TEST_F(OpenVdbSourceTest, NamesAreUniqueAndValidUtf8) {

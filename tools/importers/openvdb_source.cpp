@@ -16,14 +16,28 @@ void initializeOnce() {
     std::call_once(once, [] { openvdb::initialize(); });
 }
 
-// "name" or "name[2]", as File::NameIterator gives it, as a channel's name; "[2]" is an empty name made
-// unique.
-std::string channelName(const std::string& grid_name, std::set<std::string>& used) {
-    const bool empty =
-        grid_name.empty() || (grid_name.front() == '[' && grid_name.back() == ']' && grid_name.size() > 2 &&
-                              grid_name.find_first_not_of("0123456789", 1) == grid_name.size() - 1);
-    const std::string base = empty ? "unnamed" : validUtf8(grid_name);
-    std::string name = base;
+// Where the "[2]" begins that a file adds to a name it has already, or npos. A grid's own name may end so,
+// too.
+std::size_t findCopyNumber(const std::string& name) {
+    const std::size_t open = name.empty() || name.back() != ']' ? std::string::npos : name.rfind('[');
+    const bool number = open != std::string::npos && open + 2 < name.size() &&
+                        name.find_first_not_of("0123456789", open + 1) == name.size() - 1;
+    return number ? open : std::string::npos;
+}
+
+// A channel's name for a grid of an open file: what OpenVDB calls it, but the first of several grids of one
+// name has the plain name. `grid_name` is as File::NameIterator gives it.
+std::string channelName(openvdb::io::File& file, const std::string& grid_name, std::set<std::string>& used) {
+    std::string name = grid_name, copy;
+    if (const std::size_t number = findCopyNumber(grid_name); number != std::string::npos) {
+        const openvdb::GridBase::Ptr grid = file.readGridMetadata(grid_name);
+        if (grid && grid->getName() != grid_name) {
+            name = grid_name.substr(0, number);
+            if (grid_name.substr(number) != "[0]") copy = grid_name.substr(number);
+        }
+    }
+    const std::string base = (name.empty() ? "unnamed" : validUtf8(name)) + copy;
+    name = base;
     for (int n = 1; !used.insert(name).second; ++n) name = fmt::format("{}[{}]", base, n);
     return name;
 }
@@ -124,7 +138,7 @@ Result<VdbContents> readVdb(const std::filesystem::path& path, const std::vector
         file.open(/*delayLoad=*/false);
         std::set<std::string> used;
         for (auto it = file.beginName(); it != file.endName(); ++it) {
-            const std::string name = channelName(*it, used);
+            const std::string name = channelName(file, *it, used);
             contents.names.push_back(name);
             if (!channels.empty() && std::find(channels.begin(), channels.end(), name) == channels.end())
                 continue;

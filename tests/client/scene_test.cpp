@@ -1,0 +1,81 @@
+#include "client/scene.h"
+
+#include <gmock/gmock.h>
+
+#include <glm/geometric.hpp>
+
+#include "core/camera.h"
+
+namespace brickyard {
+namespace {
+
+FrameFooter footerWith(std::initializer_list<std::pair<const char*, unsigned>> channels) {
+    FrameFooter footer;
+    for (const auto& [name, components] : channels) {
+        ChannelFooter* channel = footer.add_channels();
+        channel->set_name(name);
+        channel->set_components(components);
+    }
+    return footer;
+}
+
+TEST(SceneTest, DensityIsFoundByNameOrBecauseItIsTheOnlyOne) {
+    EXPECT_EQ(bindScene({}, footerWith({{"v", 3}, {"density", 1}, {"heat", 1}}))->density_channel, 1u);
+    EXPECT_EQ(bindScene({}, footerWith({{"v", 3}, {"smoke", 1}}))->density_channel, 1u);
+    const auto none = bindScene({}, footerWith({{"a", 1}, {"b", 1}}));
+    ASSERT_FALSE(none);
+    EXPECT_THAT(none.error().message, testing::HasSubstr("a, b"));
+}
+
+TEST(SceneTest, WhatCannotBeMeantIsNamed) {
+    const FrameFooter footer = footerWith({{"density", 1}, {"velocity", 3}});
+    const std::pair<const char*, const char*> cases[] = {
+        {R"({"medium":{"density":"smoke"}})", "smoke"},
+        {R"({"medium":{"density":"velocity"}})", "vectors"},
+        {R"({"medium":{"density_scale":-1}})", "density_scale"},
+        {R"({"medium":{"albedo":[1,2,0]}})", "albedo"},
+        {R"({"medium":{"anisotropy":1}})", "anisotropy"},
+        {R"({"medium":{"emission":{"channel":"fire"}}})", "fire"},
+        {R"({"lights":[{"direction":[0,0,0]}]})", "direction"},
+        {R"({"lights":[{},{}]})", "2 lights"},
+    };
+    for (const auto& [json, word] : cases) {
+        const auto scene = readScene(json);
+        ASSERT_TRUE(scene) << json;
+        const auto bound = bindScene(*scene, footer);
+        ASSERT_FALSE(bound) << json;
+        EXPECT_THAT(bound.error().message, testing::HasSubstr(word));
+    }
+}
+
+TEST(SceneTest, UnknownKeysAndBrokenJsonAreOneLineErrors) {
+    for (const char* text : {R"({"medum":{}})", "{", R"({"lights":3})", "/no/such/file.json"}) {
+        const auto scene = readScene(text);
+        ASSERT_FALSE(scene) << text;
+        EXPECT_THAT(scene.error().message, testing::Not(testing::HasSubstr("\n")));
+    }
+}
+
+TEST(SceneTest, TheFramingCameraSeesAllCornersOfTheBox) {
+    ChannelFooter channel;
+    for (int i = 0; i < 16; ++i) channel.add_index_to_world(i % 5 == 0 ? 1 : 0);
+    for (const int v : {-3, 100, 7}) channel.add_active_min(v);
+    for (const int v : {90, 130, 77}) channel.add_active_max(v);
+    for (const double aspect : {0.4, 1.0, 2.5}) {
+        const std::uint32_t height = 200, width = std::uint32_t(200 * aspect);
+        const auto camera = PinholeCamera::create(frameChannel(channel, aspect), width, height);
+        ASSERT_TRUE(camera);
+        for (int corner = 0; corner < 8; ++corner) {
+            glm::dvec3 p;
+            for (int a = 0; a < 3; ++a) p[a] = (corner >> a & 1) ? channel.active_max(a) + 1 : channel.active_min(a) - 1;
+            const glm::dvec3 to = p - camera->eye();
+            const double z = glm::dot(to, camera->forward());
+            ASSERT_GT(z, 0);
+            EXPECT_LE(std::abs(glm::dot(to, camera->right())), z * camera->halfWidth() * 1.0001);
+            EXPECT_LE(std::abs(glm::dot(to, camera->up())), z * camera->halfHeight() * 1.0001);
+        }
+    }
+}
+
+}  // namespace
+}  // namespace brickyard
