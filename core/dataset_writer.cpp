@@ -208,11 +208,14 @@ struct DatasetWriter::State {
 
     // A folder beside the real one with a manifest of no frames, locked.
     Result<void> startBuild(const Manifest& settings) {
-        build = siblingOf(folder, kBuildInfix);
-        if (::mkdir(build.c_str(), 0777) != 0) return ioError("create", build, errno);
-        auto locked = lockFolder(build);
-        if (!locked) return tl::unexpected(locked.error());
-        build_lock = std::move(*locked);
+        // Between creation and lock the folder looks like litter, and another process may remove it.
+        do {
+            build = siblingOf(folder, kBuildInfix);
+            if (::mkdir(build.c_str(), 0777) != 0) return ioError("create", build, errno);
+            auto locked = lockFolder(build);
+            if (!locked && locked.error().code != ErrorCode::kNotFound) return tl::unexpected(locked.error());
+            if (locked) build_lock = std::move(*locked);
+        } while (!build_lock);
         if (::mkdir((build / kFramesFolder).c_str(), 0777) != 0)
             return ioError("create", build / kFramesFolder, errno);
         manifest = settings;
@@ -281,7 +284,13 @@ Result<std::unique_ptr<DatasetWriter>> DatasetWriter::open(const fs::path& folde
         if (auto started = s.startBuild(settings); !started) return tl::unexpected(started.error());
         s.exchange = dataset;
         if (dataset) return writer;
-        if (auto placed = s.placeNew(); !placed) return tl::unexpected(placed.error());
+        if (auto placed = s.placeNew(); !placed) {
+            if (placed.error().code != ErrorCode::kInvalid) return tl::unexpected(placed.error());
+            // Another process was faster, as when a farm starts on all frames at once: it is an existing
+            // dataset now.
+            writer.reset();
+            return open(folder, settings, existing);
+        }
         s.created = true;
         return writer;
     }

@@ -12,6 +12,7 @@
 #include "core/dataset.h"
 #include "core/frame_format.h"
 #include "core/printable_name.h"
+#include "core/sample_conversion.h"
 #include "tools/field_reader.h"
 
 namespace brickyard {
@@ -185,15 +186,15 @@ private:
             return false;
         }
         const DecodedBrick& decoded = **brick;
-        const std::size_t count = decoded.values.size() / sampleBytes(decoded.type);
-        for (std::size_t i = 0; i < count; ++i) {
-            // Ranges are floats: what lies beyond them is recorded as the largest float.
-            const double value =
-                std::clamp(toDouble(decoded.type, sampleBits(decoded.type, decoded.values, i)),
-                           -double(FLT_MAX), double(FLT_MAX));
+        std::vector<double> values;
+        samplesToDouble(decoded.type, decoded.values, values);
+        for (const double stored : values) {
+            // Ranges are floats: what lies beyond them is recorded as the largest float. NaN is outside of
+            // any.
+            const double value = std::clamp(stored, -double(FLT_MAX), double(FLT_MAX));
             if (value >= double(record.value_min) && value <= double(record.value_max)) continue;
             add(reader.channel().name(), toString(node.key), begin, end,
-                fmt::format("holds {}, outside the range [{}, {}] of its node", value, record.value_min,
+                fmt::format("holds {}, outside the range [{}, {}] of its node", stored, record.value_min,
                             record.value_max));
             return false;
         }

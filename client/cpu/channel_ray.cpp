@@ -138,7 +138,7 @@ void ChannelRay::integrateConstant(double value, RaySegment& segment) const {
     segment.high = segment.integral * (1 + kRounding);
     segment.half_width = segment.variance = 0;
     segment.cells.clear();
-    if (keep_cells_ && segment.integral > 0) segment.cells.push_back({segment.span.end, segment.integral, 0, 0});
+    if (keep_cells_ && segment.integral > 0) segment.cells.push_back({segment.span.end, segment.integral});
 }
 
 void ChannelRay::integrateBrick(const float* samples, const WalkedNode& node, RaySegment& segment) const {
@@ -151,7 +151,7 @@ void ChannelRay::integrateBrick(const float* samples, const WalkedNode& node, Ra
     auto step = [&](double end, double amount) {
         sum += amount;
         t = end;
-        if (keep_cells_) cells.push_back({end, sum, 0, 0});
+        if (keep_cells_) cells.push_back({end, sum});
     };
     // Outside the node's tight box, and between what was visited, lies background.
     auto gap = [&](double end) {

@@ -21,7 +21,7 @@ namespace brickyard {
 struct CellStep {
     double end = 0;       // world distance
     double integral = 0;
-    float shadow = 0;     // transmittance to the light; filled in by ShadowTracer
+    float shadow = -1;    // transmittance to the light; below 0 until ShadowTracer has filled it in
     float shadow_sd = 0;  // its standard deviation
 };
 
@@ -47,8 +47,8 @@ struct RaySegment {
     double effect = 0;         // d(pixel) / d(integral); children take it over
     double worth = 1;          // expected picture error that its page removes
     std::vector<CellStep> cells;
-    // Where light has got to: steps before `lit` have their shadow; then a shadow ray under way.
-    std::uint32_t lit = 0;
+    // A shadow ray under way: of which step, and how far it has got.
+    std::uint32_t shadow_step = 0;
     double shadow_t = 0, shadow_depth = 0, shadow_variance = 0;
 };
 

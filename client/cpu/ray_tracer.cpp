@@ -14,22 +14,29 @@ constexpr double kShadowShare = 0.4;
 // Scattering below this weight is not worth a shadow ray.
 constexpr double kReferenceLeastWeight = 1e-7;
 constexpr double kLeastWeightOfError = 1e-3;
+// Of the pixel's standard deviation, what interpolating a few neighbouring shadows may make.
+constexpr double kInterpolationShare = 0.1;
 
-double shadowTolerance(const RenderPlan& plan) {
-    if (plan.quality.reference || plan.quality.strict) return 0;
+// What the shadows may be off by, from what the pixel may be off by.
+ShadowTracer::Tolerances shadowTolerances(const RenderPlan& plan) {
+    if (plan.quality.reference) return {.least_weight = kReferenceLeastWeight};
+    ShadowTracer::Tolerances tolerances;
+    tolerances.least_weight = kLeastWeightOfError * plan.quality.max_error;
+    if (plan.quality.strict) return tolerances;
     const glm::dvec3 scattered = plan.scattered();
     const double g = std::abs(plan.scene.anisotropy);
     const double most = std::max({scattered.x, scattered.y, scattered.z, 1e-30}) * henyeyGreenstein(g, 1);
-    return kShadowShare * plan.quality.max_error / 3 / std::max(most, 1e-30);
+    tolerances.depth = kShadowShare * plan.quality.max_error / 3 / std::max(most, 1e-30);
+    tolerances.interpolation = kInterpolationShare * plan.quality.max_error / 3 / std::max(most, 1e-30);
+    return tolerances;
 }
 
 }  // namespace
 
 RayTracer::RayTracer(const RenderPlan& plan)
     : plan_(plan), estimate_target_(plan.quality.max_error / 3),
-      least_weight_(plan.quality.reference ? kReferenceLeastWeight : kLeastWeightOfError * plan.quality.max_error),
       opaque_depth_(kOpaqueDepth) {
-    if (plan.scene.light) shadows_.emplace(plan_, shadowTolerance(plan));
+    if (plan.scene.light) shadows_.emplace(plan_, shadowTolerances(plan));
 }
 
 bool RayTracer::hasFailed(const PixelRay& ray) {
@@ -45,7 +52,7 @@ bool RayTracer::lightAll(PixelRay& ray, const RayContext& context) const {
     double before = 0;
     for (RaySegment& segment : ray.density.segments()) {
         if (segment.state != SegmentState::kDone) return false;
-        complete &= shadows_->light(ray.density, segment, std::exp(-before), least_weight_, context);
+        complete &= shadows_->light(ray.density, segment, std::exp(-before), context);
         if (!complete && context.full()) return false;
         before += segment.integral;
     }
@@ -193,7 +200,8 @@ RayComposite RayTracer::provisional(const PixelRay& ray, const RayContext& conte
     std::vector<RaySegment> lit = density;
     if (plan_.scene.light)
         for (RaySegment& segment : lit)
-            for (std::size_t c = segment.lit; c < segment.cells.size(); ++c) segment.cells[c].shadow = segment.cells[c].shadow_sd = 0.5f;
+            for (CellStep& step : segment.cells)
+                if (step.shadow < 0) step.shadow = step.shadow_sd = 0.5f;
     return compositeRay(plan_, ray.world.direction, lit, ray.emission ? &emission : nullptr, plan_.scene.light.has_value());
 }
 

@@ -38,7 +38,6 @@ private:
 
     const RenderPlan& plan_;
     double estimate_target_;
-    double least_weight_;
     double opaque_depth_;
     std::optional<ShadowTracer> shadows_;
 };

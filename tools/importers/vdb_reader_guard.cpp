@@ -2,7 +2,6 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <malloc.h>
 #include <poll.h>
 #include <spawn.h>
 #include <sys/resource.h>
@@ -20,6 +19,15 @@
 #include "core/io_error.h"
 #include "core/printable_name.h"
 #include "tools/importers/openvdb_source.h"
+
+// GCC defines macros, clang has features; neither understands the other's test.
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#define BRICKYARD_UNDER_SANITIZER
+#elif defined(__has_feature)
+#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer) || __has_feature(memory_sanitizer)
+#define BRICKYARD_UNDER_SANITIZER
+#endif
+#endif
 
 extern char** environ;
 
@@ -274,14 +282,12 @@ int runVdbProbe(const std::filesystem::path& file, const std::vector<std::string
     };
     set(RLIMIT_CORE, 0);
     set(RLIMIT_CPU, std::uint64_t(limits.cpu_time.count()));
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-#if !defined(__has_feature) || !(__has_feature(address_sanitizer) || __has_feature(thread_sanitizer))
-    // Sanitizers reserve terabytes of address space for themselves; without one, a limit on it is a limit on
+#ifndef BRICKYARD_UNDER_SANITIZER
+    // Without a sanitizer, which reserves terabytes for itself, a limit on address space is a limit on
     // memory.
     std::uint64_t pages = 0;
     std::ifstream("/proc/self/statm") >> pages;
     set(RLIMIT_AS, pages * std::uint64_t(::sysconf(_SC_PAGESIZE)) + limits.memory_bytes);
-#endif
 #endif
     const auto contents = readVdb(file, channels);
     if (contents) {
