@@ -15,7 +15,7 @@ constexpr double kShadowShare = 0.4;
 constexpr double kReferenceLeastWeight = 1e-7;
 constexpr double kLeastWeightOfError = 1e-3;
 // Of the pixel's standard deviation, what interpolating a few neighbouring shadows may make.
-constexpr double kInterpolationShare = 0.1;
+constexpr double kInterpolationShare = 0.25;
 
 // What the shadows may be off by, from what the pixel may be off by.
 ShadowTracer::Tolerances shadowTolerances(const RenderPlan& plan) {

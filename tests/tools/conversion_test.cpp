@@ -265,8 +265,8 @@ TEST_F(ConversionTest, VerifyFindsAnyFlippedByteAndNamesWhatItBelongsTo) {
     const std::string bytes = readFile(frame);
     // All of the head and the tail, and places in between.
     for (std::size_t at = 0; at < bytes.size(); at += at < 64 || at + 3000 > bytes.size()
-                                                          ? (at + 3000 > bytes.size() ? 7 : 1)
-                                                          : 1 + random() % 300) {
+                                                          ? (at + 3000 > bytes.size() ? 13 : 1)
+                                                          : 1 + random() % 1000) {
         std::string changed = bytes;
         changed[at] = char(changed[at] ^ (1 << random() % 8));
         writeFile(frame, changed);

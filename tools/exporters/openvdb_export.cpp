@@ -92,8 +92,9 @@ private:
     Value background_;
 };
 
-// AffineMap's own check refuses sound voxels of 1e-9, so maps without rotation or shear are built by their
-// parts.
+// Scales and offsets are composed one by one: from a whole matrix OpenVDB takes the scale as a difference of
+// two positions, which an offset of 1e7 robs of its digits. Throws where the voxels are too small for OpenVDB
+// (1e-9).
 openvdb::math::Transform::Ptr makeTransform(const Affine& affine) {
     const glm::dmat4& m = affine.matrix();
     openvdb::Mat4d rows;
@@ -104,13 +105,10 @@ openvdb::math::Transform::Ptr makeTransform(const Affine& affine) {
             diagonal = diagonal && (column == 3 || row == column || m[column][row] == 0);
         }
     if (!diagonal) return openvdb::math::Transform::createLinearTransform(rows);
-    const openvdb::Vec3d scale(m[0][0], m[1][1], m[2][2]), offset(m[3][0], m[3][1], m[3][2]);
-    openvdb::math::MapBase::Ptr map;
-    if (offset == openvdb::Vec3d(0.0))
-        map.reset(new openvdb::math::ScaleMap(scale));
-    else
-        map.reset(new openvdb::math::ScaleTranslateMap(scale, offset));
-    return openvdb::math::Transform::Ptr(new openvdb::math::Transform(map));
+    auto transform = openvdb::math::Transform::createLinearTransform(1.0);
+    transform->postScale(openvdb::Vec3d(m[0][0], m[1][1], m[2][2]));
+    transform->postTranslate(openvdb::Vec3d(m[3][0], m[3][1], m[3][2]));
+    return transform;
 }
 
 template <class GridT>
