@@ -39,10 +39,7 @@ template <class Descend, class Emit>
 class OctreeWalk {
 public:
     OctreeWalk(const PagedChannel& channel, const IndexRay& ray, Descend& descend, Emit& emit)
-        : channel_(channel), ray_(ray), descend_(descend), emit_(emit) {
-        for (int a = 0; a < 3; ++a)
-            if (!ray.parallel[a] && ray.direction[a] < 0) mirror_ |= 1 << a;
-    }
+        : channel_(channel), ray_(ray), descend_(descend), emit_(emit) {}
 
     // Up to eight roots meet at the origin; where they do not cover the ray, the field is background.
     bool roots(RaySpan span) {
@@ -78,20 +75,36 @@ public:
             return emit_(missing);
         }
         const unsigned valid = parent.block->validMask(parent.ref.node);
-        // Octants in the order of the mirrored ray: each comes before those behind it.
-        for (int i = 0; i < 8; ++i) {
-            const int octant = i ^ mirror_;
-            WalkedNode child;
-            child.key = parent.key.child(octant);
-            child.span = clipTo(child.key, parent.span);
-            if (child.span.empty()) continue;
-            if (!(valid >> octant & 1)) {
-                if (!background(child.span)) return false;
-                continue;
+        // The ray begins in one octant and changes it where it crosses a middle plane: four octants at most.
+        const glm::dvec3 middle = nodeLow(parent.key, channel_.shape()) + 0.5 * nodeEdge(parent.key, channel_.shape());
+        double crossing[3];
+        int octant = 0;
+        for (int a = 0; a < 3; ++a) {
+            crossing[a] = ray_.parallel[a] ? std::numeric_limits<double>::infinity() : ray_.planeAt(a, middle[a]);
+            const bool behind = crossing[a] <= parent.span.begin;
+            const bool upper = ray_.parallel[a] ? ray_.origin[a] >= middle[a] : behind == (ray_.direction[a] > 0);
+            if (behind) crossing[a] = std::numeric_limits<double>::infinity();
+            if (upper) octant |= 1 << a;
+        }
+        double t = parent.span.begin;
+        while (t < parent.span.end) {
+            const int a = crossing[0] < crossing[1] ? (crossing[0] < crossing[2] ? 0 : 2) : (crossing[1] < crossing[2] ? 1 : 2);
+            const double end = std::min(crossing[a], parent.span.end);
+            if (t < end) {
+                WalkedNode child;
+                child.span = {t, end};
+                if (!(valid >> octant & 1)) {
+                    if (!background(child.span)) return false;
+                } else {
+                    child.key = parent.key.child(octant);
+                    const unsigned before = valid & ((1u << octant) - 1);
+                    child.ref = {first.block, first.first + std::uint32_t(__builtin_popcount(before))};
+                    if (!visit(child)) return false;
+                }
+                t = end;
             }
-            const unsigned before = valid & ((1u << octant) - 1);
-            child.ref = {first.block, first.first + std::uint32_t(__builtin_popcount(before))};
-            if (!visit(child)) return false;
+            crossing[a] = std::numeric_limits<double>::infinity();
+            octant ^= 1 << a;
         }
         return true;
     }
@@ -123,7 +136,6 @@ private:
     const IndexRay& ray_;
     Descend& descend_;
     Emit& emit_;
-    int mirror_ = 0;
 };
 
 // From the roots. `descend(node)` decides for each inner node whether to go on to its children; `emit(node)` gets what
