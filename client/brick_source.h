@@ -1,7 +1,7 @@
 // Where pages come from: a local folder or a server. The renderer cannot tell them apart.
 //
-// The wish list is the protocol (DESIGN.md, idea 3): the newest wish replaces the older one, nothing is owed. One
-// thread drives a source; what happens behind it (a network thread) is its own business.
+// The wish list is the protocol (DESIGN.md, idea 3): the newest wish replaces the older one, nothing is owed.
+// One thread drives a source; what happens behind it (a network thread) is its own business.
 #pragma once
 
 #include <chrono>
@@ -23,10 +23,11 @@ struct Arrival {
 };
 
 struct SourceCounters {
-    std::uint64_t bytes_streamed = 0;    // payload bytes of pages and blocks received; 0 for a local source's index reads
-    std::uint64_t pages_streamed = 0;    // bricks
-    std::uint64_t blocks_streamed = 0;   // tree blocks
-    std::uint64_t round_trips = 0;       // times the client waited for an answer (open, frame, wishes)
+    std::uint64_t bytes_streamed =
+        0;  // payload bytes of pages and blocks received; 0 for a local source's index reads
+    std::uint64_t pages_streamed = 0;   // bricks
+    std::uint64_t blocks_streamed = 0;  // tree blocks
+    std::uint64_t round_trips = 0;      // times the client waited for an answer (open, frame, wishes)
 };
 
 class BrickSource {
@@ -38,8 +39,8 @@ public:
     virtual Result<FrameFooter> openFrame(std::uint32_t frame) = 0;
     // Replaces the wish before. Returns at once.
     virtual Result<void> wish(PageWish newest) = 0;
-    // Waits until something of the newest wish arrives, at most until `deadline`. An empty list means that the wish is
-    // done (everything sent or credit used up) or the deadline passed; `wishDone()` tells which.
+    // Waits until something of the newest wish arrives, at most until `deadline`. An empty list means that
+    // the wish is done (everything sent or credit used up) or the deadline passed; `wishDone()` tells which.
     // Errors: the source as a whole is lost.
     virtual Result<std::vector<Arrival>> take(std::chrono::steady_clock::time_point deadline) = 0;
     virtual bool wishDone() const = 0;

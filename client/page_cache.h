@@ -1,8 +1,9 @@
 // Decoded bricks within a byte budget that is never exceeded. docs/design.md, section "Page cache".
 //
-// Slots have one size, allocated when first needed. During a pass the cache is read-only and find() may be called from
-// any thread without a lock; a page found is marked as used in that pass. insert(), pin() and beginPass() belong to one
-// thread, between passes. Evicted first is the page whose last use by a ray is oldest.
+// Slots have one size, allocated when first needed. During a pass the cache is read-only and find() may be
+// called from any thread without a lock; a page found is marked as used in that pass. insert(), pin() and
+// beginPass() belong to one thread, between passes. Evicted first is the page whose last use by a ray is
+// oldest.
 #pragma once
 
 #include <atomic>
@@ -19,7 +20,8 @@ namespace brickyard {
 
 class PageCache {
 public:
-    // `page_floats` floats a page. REQUIRES: page_floats > 0. A budget below one page holds none: see capacity().
+    // `page_floats` floats a page. REQUIRES: page_floats > 0. A budget below one page holds none: see
+    // capacity().
     PageCache(std::uint64_t budget_bytes, std::size_t page_floats);
 
     std::size_t capacity() const { return capacity_; }  // pages
@@ -42,8 +44,8 @@ public:
     }
     // Pages that an insert could take the place of, plus free ones.
     std::size_t room() const { return capacity_ - pinned_; }
-    // Makes room by evicting, then gives the slot to fill; nullptr where every slot is pinned or was inserted since
-    // beginPass(). REQUIRES: !contains(page).
+    // Makes room by evicting, then gives the slot to fill; nullptr where every slot is pinned or was inserted
+    // since beginPass(). REQUIRES: !contains(page).
     float* insert(const PageAddress& page);
     // Keeps a page for good. REQUIRES: contains(page). Does nothing once half the slots are pinned.
     void pin(const PageAddress& page);

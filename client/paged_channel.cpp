@@ -20,17 +20,20 @@ Result<PagedChannel> PagedChannel::create(const ChannelFooter& footer, std::uint
     channel.file_bytes_ = file_bytes;
     if (!isBrickEdge(brick_edge) || footer.components() != 1 || footer.background_size() != 1 ||
         (footer.active_voxels() > 0 && (footer.active_min_size() != 3 || footer.active_max_size() != 3)))
-        return fail(ErrorCode::kCorrupt, fmt::format("channel '{}': its footer does not hold together", footer.name()));
+        return fail(ErrorCode::kCorrupt,
+                    fmt::format("channel '{}': its footer does not hold together", footer.name()));
     constexpr double kMost = std::numeric_limits<float>::max();
     if (std::abs(footer.value_min()) > kMost || std::abs(footer.value_max()) > kMost)
-        return fail(ErrorCode::kUnsupported, fmt::format("channel '{}': its values, {:g} to {:g}, are beyond the float range "
-                                                         "and cannot be drawn",
-                                                         footer.name(), footer.value_min(), footer.value_max()));
+        return fail(ErrorCode::kUnsupported,
+                    fmt::format("channel '{}': its values, {:g} to {:g}, are beyond the float range "
+                                "and cannot be drawn",
+                                footer.name(), footer.value_min(), footer.value_max()));
 
     const std::vector<double> columns(footer.index_to_world().begin(), footer.index_to_world().end());
     const Result<Affine> transform = Affine::fromColumns(columns);
     if (!transform)
-        return fail(ErrorCode::kCorrupt, fmt::format("channel '{}': {}", footer.name(), transform.error().message));
+        return fail(ErrorCode::kCorrupt,
+                    fmt::format("channel '{}': {}", footer.name(), transform.error().message));
     channel.transform_ = *transform;
     channel.background_bits_ = {footer.background(0)};
     channel.background_ = toFloat(channel.type_, footer.background(0));
@@ -55,15 +58,19 @@ Result<void> PagedChannel::addBlock(std::uint32_t index, std::span<const std::by
     if (blocks_[index]) return {};
     const BlockRef& ref = footer_.blocks(int(index));
     if (stored.size() != ref.bytes() || checksum(stored) != ref.xxh64())
-        return fail(ErrorCode::kCorrupt, fmt::format("channel '{}': tree block {} fails its checksum", name(), index));
+        return fail(ErrorCode::kCorrupt,
+                    fmt::format("channel '{}': tree block {} fails its checksum", name(), index));
     Result<TreeBlock> block = decodeStoredBlock(stored, ref.raw_bytes(), index, blockCount(), file_bytes_, 1);
     if (!block)
-        return fail(ErrorCode::kCorrupt, fmt::format("channel '{}': tree block {}: {}", name(), index, block.error().message));
+        return fail(ErrorCode::kCorrupt,
+                    fmt::format("channel '{}': tree block {}: {}", name(), index, block.error().message));
     // The roots, and a parent's children, are the first nodes of their block.
     if (index == 0 && block->headNodes() != roots_.size())
-        return fail(ErrorCode::kCorrupt, fmt::format("channel '{}': tree block 0 has other roots than the footer", name()));
+        return fail(ErrorCode::kCorrupt,
+                    fmt::format("channel '{}': tree block 0 has other roots than the footer", name()));
     if (head_level_[index] < 0)
-        return fail(ErrorCode::kCorrupt, fmt::format("channel '{}': tree block {} came before its parent", name(), index));
+        return fail(ErrorCode::kCorrupt,
+                    fmt::format("channel '{}': tree block {} came before its parent", name(), index));
 
     // Children stand behind their parents, so one pass tells every level; other blocks learn theirs here.
     std::vector<std::int8_t> levels(block->nodeCount(), std::int8_t(head_level_[index]));
@@ -72,8 +79,10 @@ Result<void> PagedChannel::addBlock(std::uint32_t index, std::span<const std::by
         const std::int8_t below = std::int8_t(std::max(0, levels[node] - 1));
         const ChildrenRef children = block->children(node);
         const int count = __builtin_popcount(block->validMask(node));
-        if (children.block != index) head_level_[children.block] = below;
-        else std::fill_n(levels.begin() + std::ptrdiff_t(children.first), count, below);
+        if (children.block != index)
+            head_level_[children.block] = below;
+        else
+            std::fill_n(levels.begin() + std::ptrdiff_t(children.first), count, below);
     }
     levels_[index] = std::move(levels);
     tree_bytes_ += block->memoryBytes();

@@ -1,5 +1,5 @@
-// One scalar channel of a frame as a ray sees it: where it is in the world, and as much of its octree as has arrived.
-// During a pass any thread may read; addBlock() belongs to one thread, between passes.
+// One scalar channel of a frame as a ray sees it: where it is in the world, and as much of its octree as has
+// arrived. During a pass any thread may read; addBlock() belongs to one thread, between passes.
 #pragma once
 
 #include <cstdint>
@@ -69,8 +69,8 @@ private:
     std::uint64_t tree_bytes_ = 0;
     std::vector<NodeKey> roots_;
     std::vector<std::shared_ptr<const TreeBlock>> blocks_;
-    std::vector<int> head_level_;                    // of a block's first nodes; -1 until the parent's block tells
-    std::vector<std::vector<std::int8_t>> levels_;   // by block, by node
+    std::vector<int> head_level_;  // of a block's first nodes; -1 until the parent's block tells
+    std::vector<std::vector<std::int8_t>> levels_;  // by block, by node
 };
 
 }  // namespace brickyard

@@ -70,8 +70,10 @@ Result<void> writeExr(const Picture& picture, const std::filesystem::path& file)
             for (const Layer& layer : layers()) {
                 header.channels().insert(layer.name, Imf::Channel(Imf::FLOAT));
                 // OpenEXR's slices are not const; writing only reads.
-                char* base = const_cast<char*>(reinterpret_cast<const char*>(picture.pixels.data())) + layer.offset;
-                frame.insert(layer.name, Imf::Slice(Imf::FLOAT, base, sizeof(Pixel), sizeof(Pixel) * picture.width));
+                char* base =
+                    const_cast<char*>(reinterpret_cast<const char*>(picture.pixels.data())) + layer.offset;
+                frame.insert(layer.name,
+                             Imf::Slice(Imf::FLOAT, base, sizeof(Pixel), sizeof(Pixel) * picture.width));
             }
             Imf::OutputFile out(temporary.c_str(), header);
             out.setFrameBuffer(frame);
@@ -83,7 +85,8 @@ Result<void> writeExr(const Picture& picture, const std::filesystem::path& file)
     });
 }
 
-Result<void> writePng(const Picture& picture, const std::array<float, 3>& background, const std::filesystem::path& file) {
+Result<void> writePng(const Picture& picture, const std::array<float, 3>& background,
+                      const std::filesystem::path& file) {
     std::vector<std::uint8_t> bytes(picture.pixels.size() * 3);
     for (std::size_t i = 0; i < picture.pixels.size(); ++i)
         for (std::size_t c = 0; c < 3; ++c)

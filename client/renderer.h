@@ -1,5 +1,6 @@
-// A picture from a source of bricks: the loop of draw, miss, wish, arrive (Crassin et al., GigaVoxels, 2009) until nothing
-// that matters is missing. One Renderer draws one picture at a time; it brings its own threads for the rays.
+// A picture from a source of bricks: the loop of draw, miss, wish, arrive (Crassin et al., GigaVoxels, 2009)
+// until nothing that matters is missing. One Renderer draws one picture at a time; it brings its own threads
+// for the rays.
 #pragma once
 
 #include <chrono>
@@ -55,8 +56,8 @@ struct RenderOutcome {
 class Renderer {
 public:
     virtual ~Renderer() = default;
-    // Errors: those of the source; kNotFound and kInvalid (frame, channel, camera); kInvalid where the cache cannot hold
-    // a single brick. A page that cannot be had is no error: see RenderOutcome::not_final.
+    // Errors: those of the source; kNotFound and kInvalid (frame, channel, camera); kInvalid where the cache
+    // cannot hold a single brick. A page that cannot be had is no error: see RenderOutcome::not_final.
     virtual Result<RenderOutcome> render(BrickSource& source, const RenderRequest& request) = 0;
 };
 

@@ -27,7 +27,9 @@ Result<Message> readJson(const std::string& text_or_file, const char* what) {
     if (begin == std::string::npos || text[begin] != '{') {
         where = text_or_file;
         std::ifstream in(text_or_file, std::ios::binary);
-        if (!in) return fail(ErrorCode::kNotFound, fmt::format("{}: no such {} file, and not JSON", text_or_file, what));
+        if (!in)
+            return fail(ErrorCode::kNotFound,
+                        fmt::format("{}: no such {} file, and not JSON", text_or_file, what));
         std::ostringstream bytes;
         bytes << in.rdbuf();
         text = bytes.str();
@@ -61,11 +63,12 @@ Result<std::uint32_t> findChannel(const FrameFooter& frame, const std::string& n
         names.push_back(channel.name());
         if (channel.name() != name) continue;
         if (channel.components() != 1)
-            return fail(ErrorCode::kInvalid, fmt::format("scene: channel '{}' holds vectors and cannot be the {}", name, role));
+            return fail(ErrorCode::kInvalid,
+                        fmt::format("scene: channel '{}' holds vectors and cannot be the {}", name, role));
         return std::uint32_t(i);
     }
-    return fail(ErrorCode::kNotFound,
-                fmt::format("scene: no channel '{}' for the {}; there are: {}", name, role, fmt::join(names, ", ")));
+    return fail(ErrorCode::kNotFound, fmt::format("scene: no channel '{}' for the {}; there are: {}", name,
+                                                  role, fmt::join(names, ", ")));
 }
 
 // "density" where there is one, else the only scalar channel.
@@ -79,15 +82,17 @@ Result<std::uint32_t> defaultDensity(const FrameFooter& frame) {
         if (channel.components() == 1) scalar.push_back(std::uint32_t(i));
     }
     if (scalar.size() == 1) return scalar[0];
-    return fail(ErrorCode::kNotFound, fmt::format("the frame has no channel 'density'; name one in the scene's "
-                                                  "medium.density; there are: {}",
-                                                  fmt::join(names, ", ")));
+    return fail(ErrorCode::kNotFound,
+                fmt::format("the frame has no channel 'density'; name one in the scene's "
+                            "medium.density; there are: {}",
+                            fmt::join(names, ", ")));
 }
 
 Result<double> positive(double value, const char* name) {
     if (value == 0) return 1.0;
     if (!std::isfinite(value) || value < 0)
-        return fail(ErrorCode::kInvalid, fmt::format("scene: {} is {}; it wants a number above 0", name, value));
+        return fail(ErrorCode::kInvalid,
+                    fmt::format("scene: {} is {}; it wants a number above 0", name, value));
     return value;
 }
 
@@ -95,13 +100,15 @@ Result<double> positive(double value, const char* name) {
 
 Result<Scene> readScene(const std::string& text_or_file) { return readJson<Scene>(text_or_file, "scene"); }
 
-Result<Camera> readCamera(const std::string& text_or_file) { return readJson<Camera>(text_or_file, "camera"); }
+Result<Camera> readCamera(const std::string& text_or_file) {
+    return readJson<Camera>(text_or_file, "camera");
+}
 
 Result<SceneSettings> bindScene(const Scene& scene, const FrameFooter& frame) {
     SceneSettings settings;
     const Medium& medium = scene.medium();
-    const Result<std::uint32_t> density = medium.density().empty() ? defaultDensity(frame)
-                                                                   : findChannel(frame, medium.density(), "density");
+    const Result<std::uint32_t> density =
+        medium.density().empty() ? defaultDensity(frame) : findChannel(frame, medium.density(), "density");
     if (!density) return tl::unexpected(density.error());
     settings.density_channel = *density;
 
@@ -126,26 +133,32 @@ Result<SceneSettings> bindScene(const Scene& scene, const FrameFooter& frame) {
         const Result<double> strength = positive(medium.emission().scale(), "medium.emission.scale");
         if (!strength) return tl::unexpected(strength.error());
         emission.scale = *strength;
-        const Result<glm::dvec3> color = vectorOf(medium.emission().color(), emission.color, "medium.emission.color");
+        const Result<glm::dvec3> color =
+            vectorOf(medium.emission().color(), emission.color, "medium.emission.color");
         if (!color) return tl::unexpected(color.error());
         for (int c = 0; c < 3; ++c)
-            if ((*color)[c] < 0) return fail(ErrorCode::kInvalid, "scene: medium.emission.color wants no negative numbers");
+            if ((*color)[c] < 0)
+                return fail(ErrorCode::kInvalid, "scene: medium.emission.color wants no negative numbers");
         emission.color = *color;
         settings.emission = emission;
     }
     if (scene.lights_size() > 1)
-        return fail(ErrorCode::kUnsupported, fmt::format("scene: has {} lights; one is supported", scene.lights_size()));
+        return fail(ErrorCode::kUnsupported,
+                    fmt::format("scene: has {} lights; one is supported", scene.lights_size()));
     if (scene.lights_size() == 1) {
         LightSettings light;
-        const Result<glm::dvec3> direction = vectorOf(scene.lights(0).direction(), {0, -1, 0}, "lights[0].direction");
+        const Result<glm::dvec3> direction =
+            vectorOf(scene.lights(0).direction(), {0, -1, 0}, "lights[0].direction");
         if (!direction) return tl::unexpected(direction.error());
         if (!(glm::length(*direction) > 0) || !std::isfinite(glm::length(*direction)))
             return fail(ErrorCode::kInvalid, "scene: lights[0].direction has no length");
         light.to_light = -glm::normalize(*direction);
-        const Result<glm::dvec3> irradiance = vectorOf(scene.lights(0).irradiance(), light.irradiance, "lights[0].irradiance");
+        const Result<glm::dvec3> irradiance =
+            vectorOf(scene.lights(0).irradiance(), light.irradiance, "lights[0].irradiance");
         if (!irradiance) return tl::unexpected(irradiance.error());
         for (int c = 0; c < 3; ++c)
-            if ((*irradiance)[c] < 0) return fail(ErrorCode::kInvalid, "scene: lights[0].irradiance wants no negative numbers");
+            if ((*irradiance)[c] < 0)
+                return fail(ErrorCode::kInvalid, "scene: lights[0].irradiance wants no negative numbers");
         light.irradiance = *irradiance;
         settings.light = light;
     }
@@ -172,7 +185,8 @@ Camera frameChannel(const ChannelFooter& channel, double aspect) {
     const glm::dvec3 center = low + 0.5 * (high - low), size = high - low;
     const double radius = 0.5 * std::max(glm::length(size), transform.voxelSize());
     const bool z_up = size.z > size.y;
-    const glm::dvec3 from = z_up ? glm::normalize(glm::dvec3(0.45, -1, 0.25)) : glm::normalize(glm::dvec3(0.45, 0.25, 1));
+    const glm::dvec3 from =
+        z_up ? glm::normalize(glm::dvec3(0.45, -1, 0.25)) : glm::normalize(glm::dvec3(0.45, 0.25, 1));
     // The narrower of the two half angles must hold the bounding sphere.
     const double half = kFovDegrees * 0.5 * 3.14159265358979323846 / 180;
     const double narrow = aspect < 1 ? std::atan(std::tan(half) * aspect) : half;

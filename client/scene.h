@@ -1,5 +1,5 @@
-// What is drawn: camera, medium, light. From the JSON that users write (proto/scene.proto), checked and with its
-// defaults filled in. Plain values.
+// What is drawn: camera, medium, light. From the JSON that users write (proto/scene.proto), checked and with
+// its defaults filled in. Plain values.
 #pragma once
 
 #include <array>
@@ -35,15 +35,17 @@ struct SceneSettings {
     std::array<float, 3> background{0.35f, 0.42f, 0.5f};
 };
 
-// `text_or_file`: JSON where it starts with '{', else the name of a file that holds it. Unknown keys are errors.
-// Errors: kInvalid, kNotFound, kIo.
+// `text_or_file`: JSON where it starts with '{', else the name of a file that holds it. Unknown keys are
+// errors. Errors: kInvalid, kNotFound, kIo.
 Result<Scene> readScene(const std::string& text_or_file);
 Result<Camera> readCamera(const std::string& text_or_file);
 
-// Binds a scene to a frame: channel names become indices. Errors: kNotFound (names the channels there are); kInvalid.
+// Binds a scene to a frame: channel names become indices. Errors: kNotFound (names the channels there are);
+// kInvalid.
 Result<SceneSettings> bindScene(const Scene& scene, const FrameFooter& frame);
 
-// A camera that sees all of the channel's active box: from the front, a little above; up is the longer of Y and Z.
+// A camera that sees all of the channel's active box: from the front, a little above; up is the longer of Y
+// and Z.
 Camera frameChannel(const ChannelFooter& channel, double aspect);
 
 }  // namespace brickyard

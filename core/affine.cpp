@@ -35,7 +35,8 @@ Result<Affine> Affine::fromColumns(std::span<const double> columns) {
     affine.linear_ = glm::dmat3(affine.forward_);
     affine.offset_ = glm::dvec3(affine.forward_[3]);
 
-    // Columns are scaled to unit length first: voxels of 1e-110 have a determinant that underflows, and are invertible.
+    // Columns are scaled to unit length first: voxels of 1e-110 have a determinant that underflows, and are
+    // invertible.
     glm::dmat3 unit;
     glm::dvec3 length;
     for (int c = 0; c < 3; ++c) {

@@ -1,4 +1,5 @@
-// Index-to-world maps: double-precision affine 4x4, column vectors (world = M * index). Plain value, any thread.
+// Index-to-world maps: double-precision affine 4x4, column vectors (world = M * index). Plain value, any
+// thread.
 #pragma once
 
 #include <glm/mat3x3.hpp>
@@ -14,8 +15,8 @@ class Affine {
 public:
     Affine() = default;  // identity
 
-    // 16 numbers, column-major as in the file. Errors: kInvalid unless all are finite, the last row is 0 0 0 1 and
-    // the linear part is invertible in double precision.
+    // 16 numbers, column-major as in the file. Errors: kInvalid unless all are finite, the last row is 0 0 0
+    // 1 and the linear part is invertible in double precision.
     static Result<Affine> fromColumns(std::span<const double> columns);
     const glm::dmat4& matrix() const { return forward_; }
 

@@ -22,8 +22,9 @@ namespace {
 
 // Version, encoding, width, predictor, activity.
 constexpr std::size_t kSectionHeaderBytes = 5;
-// A draft pays where it is less than half of the plain payload and makes the whole no more than this much larger.
-// Floats grow by 3 to 6 %, halves, whose noise is thin, by 10 to 17 % (docs/decisions/0003-drafts.md).
+// A draft pays where it is less than half of the plain payload and makes the whole no more than this much
+// larger. Floats grow by 3 to 6 %, halves, whose noise is thin, by 10 to 17 %
+// (docs/decisions/0003-drafts.md).
 constexpr double kMostDraftShare = 0.5;
 constexpr double kMostGrowth = 1.18;
 

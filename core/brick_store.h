@@ -1,5 +1,5 @@
-// One frame file, open for reading: footer, tree blocks and payloads. Payloads come back as stored: checked, not
-// decoded. Layout: docs/format.md. Immutable once open, so any thread may call any const member.
+// One frame file, open for reading: footer, tree blocks and payloads. Payloads come back as stored: checked,
+// not decoded. Layout: docs/format.md. Immutable once open, so any thread may call any const member.
 #pragma once
 
 #include <cstddef>
@@ -23,8 +23,9 @@ struct ByteRange {
 
 class BrickStore {
 public:
-    // Costs one ranged read of the tail, a second one where the footer is larger than that. Errors: kNotFound; kTooNew
-    // (the file's major version is above ours); kCorrupt (magic, lengths or checksum do not hold); kIo.
+    // Costs one ranged read of the tail, a second one where the footer is larger than that. Errors:
+    // kNotFound; kTooNew (the file's major version is above ours); kCorrupt (magic, lengths or checksum do
+    // not hold); kIo.
     static Result<std::shared_ptr<const BrickStore>> open(const std::filesystem::path& file);
     ~BrickStore();
     BrickStore(const BrickStore&) = delete;
@@ -37,14 +38,16 @@ public:
     // Open for the life of the store; for sendfile and pread.
     int descriptor() const { return descriptor_; }
 
-    // Stored bytes of a tree block, checksum verified. Errors: kNotFound (no such channel or block); kCorrupt; kIo.
+    // Stored bytes of a tree block, checksum verified. Errors: kNotFound (no such channel or block);
+    // kCorrupt; kIo.
     Result<std::vector<std::byte>> readBlock(std::uint32_t channel, std::uint32_t block) const;
     // The same, decoded.
     Result<TreeBlock> loadBlock(std::uint32_t channel, std::uint32_t block) const;
-    // Stored bytes of a node's payload, checksum verified. `where` names the node in messages, e.g. "density L0(1,2,3)".
-    // REQUIRES: record.hasBrick(). Errors: kCorrupt (names file and node); kIo.
+    // Stored bytes of a node's payload, checksum verified. `where` names the node in messages, e.g. "density
+    // L0(1,2,3)". REQUIRES: record.hasBrick(). Errors: kCorrupt (names file and node); kIo.
     Result<std::vector<std::byte>> readPayload(const NodeRecord& record, const std::string& where) const;
-    // The same bytes, not verified: a server forwards them, and the client checks. Errors: kIo; kCorrupt (outside the file).
+    // The same bytes, not verified: a server forwards them, and the client checks. Errors: kIo; kCorrupt
+    // (outside the file).
     Result<std::vector<std::byte>> readPayloadUnchecked(const NodeRecord& record) const;
 
 private:

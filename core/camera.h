@@ -1,5 +1,5 @@
-// The pinhole camera of the picture contract (DESIGN.md, section 9): world space is right-handed, the ray of pixel
-// (x, y) goes through (x + 0.5, y + 0.5), row 0 is the top. Plain value, any thread.
+// The pinhole camera of the picture contract (DESIGN.md, section 9): world space is right-handed, the ray of
+// pixel (x, y) goes through (x + 0.5, y + 0.5), row 0 is the top. Plain value, any thread.
 #pragma once
 
 #include <glm/vec3.hpp>
@@ -16,7 +16,8 @@ struct WorldRay {
 
 class PinholeCamera {
 public:
-    // Errors: kInvalid (not finite, eye equals target, up parallel to the view, field of view outside (0, 180)).
+    // Errors: kInvalid (not finite, eye equals target, up parallel to the view, field of view outside (0,
+    // 180)).
     static Result<PinholeCamera> create(const Camera& camera, std::uint32_t width, std::uint32_t height);
 
     WorldRay ray(std::uint32_t x, std::uint32_t y) const;

@@ -16,19 +16,21 @@ namespace brickyard {
 
 namespace {
 
-// Coarse samples are kept to this part of the error their level makes anyway: it costs 3 to 4 % of a lossless cache,
-// against 18 to 33 % for storing them as floats (DESIGN.md, section 13).
+// Coarse samples are kept to this part of the error their level makes anyway: it costs 3 to 4 % of a lossless
+// cache, against 18 to 33 % for storing them as floats (DESIGN.md, section 13).
 constexpr double kCoarseQuantisation = 0.1;
 // Under a conversion error E, coarse samples need not be finer than this part of it.
 constexpr double kCoarseShareOfError = 0.25;
 // Parts measured by one task: fixed, so that sums do not depend on the number of threads.
 constexpr std::size_t kPartsPerTask = 32;
-// A draft of a level-0 brick is kept to this part of its parent's RMS error: a hundredth of its variance at most.
+// A draft of a level-0 brick is kept to this part of its parent's RMS error: a hundredth of its variance at
+// most.
 constexpr double kDraftShareOfParent = 0.1;
 // Bricks encoded before they are appended in order.
 constexpr std::size_t kBricksPerBatch = 512;
 
-// Of the errors of a parallel loop, the one with the lowest index: the same message for any number of threads.
+// Of the errors of a parallel loop, the one with the lowest index: the same message for any number of
+// threads.
 class FirstError {
 public:
     void add(std::size_t index, Error error) {
@@ -100,10 +102,12 @@ void includeBox(NodeRecord& parent, const NodeRecord& child, int octant, int n) 
 
 ChannelBuilder::ChannelBuilder(FiniteField field, const BuildOptions& options)
     : field_(std::move(field)), options_(options) {
-    if (!isFloating(field_.info().type)) options_.max_error = 0;  // an identifier off by one is another identifier
+    if (!isFloating(field_.info().type))
+        options_.max_error = 0;  // an identifier off by one is another identifier
 }
 
-Result<std::unique_ptr<ChannelBuilder>> ChannelBuilder::create(const FieldSource& source, const BuildOptions& options) {
+Result<std::unique_ptr<ChannelBuilder>> ChannelBuilder::create(const FieldSource& source,
+                                                               const BuildOptions& options) {
     Result<FiniteField> field = FiniteField::create(source, options.nonfinite);
     if (!field) return tl::unexpected(field.error());
     std::unique_ptr<ChannelBuilder> builder(new ChannelBuilder(std::move(*field), options));
@@ -126,7 +130,8 @@ Result<std::vector<double>> ChannelBuilder::readBrick(const NodeKey& key, Sample
     return samples;
 }
 
-// What is known before any level is computed: ranges, boxes and states of level 0 and of regions of one value.
+// What is known before any level is computed: ranges, boxes and states of level 0 and of regions of one
+// value.
 Result<void> ChannelBuilder::readStatistics() {
     const BackgroundTest is_background = backgroundOf(field_.info());
     const std::size_t cells_edge = std::size_t(options_.shape.edge_cells), s = cells_edge + 1;
@@ -191,14 +196,15 @@ Result<void> ChannelBuilder::readStatistics() {
     return {};
 }
 
-// Samples of the level below on [2k - 1, 2k + 2N + 1] per axis. A position that no node of that level stores is inside
-// a region of one value, or background.
+// Samples of the level below on [2k - 1, 2k + 2N + 1] per axis. A position that no node of that level stores
+// is inside a region of one value, or background.
 Result<void> ChannelBuilder::gatherFine(const NodeKey& key, std::vector<double>& fine) const {
     const int n = options_.shape.edge_cells, f = 2 * n + 3;
     const ChannelInfo& info = field_.info();
     if (key.level == 1) {
         IndexBox box;
-        box.begin = {std::int64_t(key.x) * 2 * n - 1, std::int64_t(key.y) * 2 * n - 1, std::int64_t(key.z) * 2 * n - 1};
+        box.begin = {std::int64_t(key.x) * 2 * n - 1, std::int64_t(key.y) * 2 * n - 1,
+                     std::int64_t(key.z) * 2 * n - 1};
         for (std::size_t a = 0; a < 3; ++a) box.end[a] = box.begin[a] + f;
         SampleBlock block;
         if (Result<void> read = field_.read(box, block); !read) return read;
@@ -209,7 +215,8 @@ Result<void> ChannelBuilder::gatherFine(const NodeKey& key, std::vector<double>&
     const std::size_t volume = std::size_t(f) * std::size_t(f) * std::size_t(f);
     fine.resize(volume * componentCount());
     for (std::size_t c = 0; c < componentCount(); ++c)
-        std::fill_n(fine.begin() + std::ptrdiff_t(c * volume), volume, toDouble(info.type, info.background[c]));
+        std::fill_n(fine.begin() + std::ptrdiff_t(c * volume), volume,
+                    toDouble(info.type, info.background[c]));
     // Nodes with samples come last: on a shared face they win over their neighbour's one value.
     for (const bool with_samples : {false, true})
         for (int bz = -1; bz <= 2; ++bz)
@@ -221,7 +228,8 @@ Result<void> ChannelBuilder::gatherFine(const NodeKey& key, std::vector<double>&
                     const bool uniform = planned->kind == PlannedKind::kUniform;
                     if (!uniform && !(planned->key == below)) continue;  // absent: background
                     if (uniform == with_samples) continue;
-                    const Node* node = uniform ? nullptr : &nodes_[std::size_t(below.level)][plan_.indexOf(below)];
+                    const Node* node =
+                        uniform ? nullptr : &nodes_[std::size_t(below.level)][plan_.indexOf(below)];
                     // The brick's samples 0..N stand at b * N + 1 + 0..N of the gathered block.
                     const std::array<int, 3> at{bx * n + 1, by * n + 1, bz * n + 1};
                     for (std::size_t c = 0; c < componentCount(); ++c) {
@@ -229,9 +237,11 @@ Result<void> ChannelBuilder::gatherFine(const NodeKey& key, std::vector<double>&
                         for (int k = std::max(0, -at[2]); k <= n && at[2] + k < f; ++k)
                             for (int j = std::max(0, -at[1]); j <= n && at[1] + j < f; ++j)
                                 for (int i = std::max(0, -at[0]); i <= n && at[0] + i < f; ++i)
-                                    fine[c * volume + std::size_t(((at[2] + k) * f + at[1] + j) * f + at[0] + i)] =
+                                    fine[c * volume +
+                                         std::size_t(((at[2] + k) * f + at[1] + j) * f + at[0] + i)] =
                                         uniform ? value
-                                                : node->exact[c * options_.shape.samples() + options_.shape.sampleAt(i, j, k)];
+                                                : node->exact[c * options_.shape.samples() +
+                                                              options_.shape.sampleAt(i, j, k)];
                     }
                 }
     return {};
@@ -277,7 +287,8 @@ void ChannelBuilder::summarise(const PlannedNode& planned, Node& node) {
     bool first = true;
     for (int octant = 0; octant < 8; ++octant) {
         const bool exists = planned.valid_mask >> octant & 1;
-        const Node* child = exists ? &level(planned.key.level - 1)[plan_.indexOf(planned.key.child(octant))] : nullptr;
+        const Node* child =
+            exists ? &level(planned.key.level - 1)[plan_.indexOf(planned.key.child(octant))] : nullptr;
         const bool active = child && child->states_active;
         if (child && !child->states_uniform) node.states_uniform = false;
         if (!first && active != node.states_active) node.states_uniform = false;
@@ -305,7 +316,8 @@ void ChannelBuilder::collectParts(const PlannedNode& from, std::vector<NodeKey>&
     }
 }
 
-// Deviations of every node of a level from level 0. Parts are measured by tasks of a fixed size and merged in order.
+// Deviations of every node of a level from level 0. Parts are measured by tasks of a fixed size and merged in
+// order.
 Result<void> ChannelBuilder::measureLevel(int l) {
     const std::vector<PlannedNode>& planned = plan_.levels()[std::size_t(l)];
     struct Parts {
@@ -319,7 +331,8 @@ Result<void> ChannelBuilder::measureLevel(int l) {
         if (planned[i].kind != PlannedKind::kInner) continue;
         collectParts(planned[i], parts[i].bricks, parts[i].uniform);
         const std::size_t all = parts[i].bricks.size() + parts[i].uniform.size();
-        parts[i].tasks.resize((all + kPartsPerTask - 1) / kPartsPerTask, std::vector<NodeDeviation>(componentCount()));
+        parts[i].tasks.resize((all + kPartsPerTask - 1) / kPartsPerTask,
+                              std::vector<NodeDeviation>(componentCount()));
         for (std::size_t t = 0; t < parts[i].tasks.size(); ++t) tasks.emplace_back(i, t);
     }
 
@@ -343,12 +356,12 @@ Result<void> ChannelBuilder::measureLevel(int l) {
                 const std::span<const double> own(node.decoded.data() + c * volume, volume);
                 DeviationPart part;
                 if (is_brick) {
-                    addBrickDeviation(key, own, parts[i].bricks[p], {samples.data() + c * volume, volume}, options_.shape,
-                                      scale_, part);
+                    addBrickDeviation(key, own, parts[i].bricks[p], {samples.data() + c * volume, volume},
+                                      options_.shape, scale_, part);
                 } else {
                     const auto& [region, uniform] = parts[i].uniform[p - parts[i].bricks.size()];
-                    addUniformDeviation(key, own, region, toDouble(field_.info().type, uniform.value[c]), options_.shape,
-                                        scale_, part);
+                    addUniformDeviation(key, own, region, toDouble(field_.info().type, uniform.value[c]),
+                                        options_.shape, scale_, part);
                 }
                 parts[i].tasks[t][c].merge(part);
             }
@@ -370,7 +383,8 @@ Result<void> ChannelBuilder::measureLevel(int l) {
         node.record.bound = roundUp(node.deviation);
         node.record.rms = std::min(roundUp(rms), node.record.bound);
         for (std::size_t c = 0; c < componentCount(); ++c) {
-            const ErrorGrid grid = components[c].grid(planned[i].key, options_.shape, scale_, node.record.bound);
+            const ErrorGrid grid =
+                components[c].grid(planned[i].key, options_.shape, scale_, node.record.bound);
             for (std::size_t b = 0; b < std::size_t(kErrorGridCells); ++b) {
                 node.grid.bound[b] = std::max(node.grid.bound[b], grid.bound[b]);
                 node.grid.rms[b] = std::max(node.grid.rms[b], grid.rms[b]);
@@ -387,7 +401,8 @@ Result<void> ChannelBuilder::buildLevels() {
         FirstError first;
         options_.parallel_for(planned.size(), [&](std::size_t i) {
             if (planned[i].kind != PlannedKind::kInner) return;
-            if (Result<void> built = buildNode(planned[i], level(l)[i]); !built) return first.add(i, built.error());
+            if (Result<void> built = buildNode(planned[i], level(l)[i]); !built)
+                return first.add(i, built.error());
             summarise(planned[i], level(l)[i]);
         });
         if (Result<void> result = first.result(); !result) return result;
@@ -399,7 +414,8 @@ Result<void> ChannelBuilder::buildLevels() {
     return {};
 }
 
-// A node that is within the conversion's error everywhere needs no children; its states must be told by one bit.
+// A node that is within the conversion's error everywhere needs no children; its states must be told by one
+// bit.
 void ChannelBuilder::prune() {
     for (int l = levelCount() - 1; l >= 1; --l)
         for (std::size_t i = 0; i < level(l).size(); ++i) {
@@ -413,7 +429,8 @@ void ChannelBuilder::prune() {
             }
             if (!node.pruned && !node.dropped) continue;
             for (int octant = 0; octant < 8; ++octant)
-                if (planned.valid_mask >> octant & 1) level(l - 1)[plan_.indexOf(planned.key.child(octant))].dropped = true;
+                if (planned.valid_mask >> octant & 1)
+                    level(l - 1)[plan_.indexOf(planned.key.child(octant))].dropped = true;
         }
 }
 
@@ -457,13 +474,15 @@ void ChannelBuilder::encodeFinest(const SampleBlock& block, double parent_rms, N
         node.record.draft_bytes = std::uint32_t(encoded.draft_bytes);
         node.record.draft_checksum = checksum(draft);
         node.record.draft_bound = roundUp(encoded.draft_error_made);
-        node.record.draft_rms = std::min(roundUp(rmsOf(decodeDraft(draft, options_.shape, info.type, info.components))),
-                                         node.record.draft_bound);
+        node.record.draft_rms =
+            std::min(roundUp(rmsOf(decodeDraft(draft, options_.shape, info.type, info.components))),
+                     node.record.draft_bound);
     }
     if (encoded.error_made == 0) return;
     node.record.bound = roundUp(encoded.error_made);
     node.record.rms = std::min(
-        roundUp(rmsOf(decodeBrick(payload, options_.shape, info.type, info.components, info.background))), node.record.bound);
+        roundUp(rmsOf(decodeBrick(payload, options_.shape, info.type, info.components, info.background))),
+        node.record.bound);
     node.record.value_min = roundDown(double(node.record.value_min) - encoded.error_made);
     node.record.value_max = roundUp(double(node.record.value_max) + encoded.error_made);
 }

@@ -1,6 +1,6 @@
-// One channel's way from field to octree: plan, coarse levels with their deviations, level-0 bricks, tree blocks.
-// The steps are called in order; buildFrame interleaves those of several channels. Not thread-safe; uses the
-// ParallelFor of its options inside a step.
+// One channel's way from field to octree: plan, coarse levels with their deviations, level-0 bricks, tree
+// blocks. The steps are called in order; buildFrame interleaves those of several channels. Not thread-safe;
+// uses the ParallelFor of its options inside a step.
 #pragma once
 
 #include <memory>
@@ -17,7 +17,8 @@ namespace brickyard {
 class ChannelBuilder {
 public:
     // Errors: those of FiniteField::create; kInvalid (a region of one value that is not finite).
-    static Result<std::unique_ptr<ChannelBuilder>> create(const FieldSource& source, const BuildOptions& options);
+    static Result<std::unique_ptr<ChannelBuilder>> create(const FieldSource& source,
+                                                          const BuildOptions& options);
 
     // Plans the tree and computes, encodes and measures every level above 0. Payloads stay in memory.
     Result<void> buildLevels();
@@ -33,16 +34,16 @@ public:
 private:
     struct Node {
         NodeRecord record;
-        std::vector<double> exact;          // unquantised samples of this level, planar; freed after the next level
-        std::vector<double> decoded;        // what a reader gets; freed after its deviations are measured
-        std::vector<std::byte> payload;     // levels above 0, until written
+        std::vector<double> exact;    // unquantised samples of this level, planar; freed after the next level
+        std::vector<double> decoded;  // what a reader gets; freed after its deviations are measured
+        std::vector<std::byte> payload;  // levels above 0, until written
         std::vector<ValueBits> constant;
         ErrorGrid grid;
-        double deviation = 0;               // largest, before rounding to the record's float
-        bool states_uniform = false;        // every voxel in the region is active, or none is
+        double deviation = 0;         // largest, before rounding to the record's float
+        bool states_uniform = false;  // every voxel in the region is active, or none is
         bool states_active = false;
-        bool pruned = false;                // lies within the error bound: becomes a leaf, nothing below it is stored
-        bool dropped = false;               // below a pruned node
+        bool pruned = false;   // lies within the error bound: becomes a leaf, nothing below it is stored
+        bool dropped = false;  // below a pruned node
     };
 
     ChannelBuilder(FiniteField field, const BuildOptions& options);
@@ -57,7 +58,8 @@ private:
     void summarise(const PlannedNode& planned, Node& node);
     Result<void> readStatistics();
     void prune();
-    void encodeFinest(const SampleBlock& block, double parent_rms, Node& node, std::vector<std::byte>& payload) const;
+    void encodeFinest(const SampleBlock& block, double parent_rms, Node& node,
+                      std::vector<std::byte>& payload) const;
     std::unique_ptr<TreeNode> treeNode(const NodeKey& key);
     std::size_t componentCount() const { return std::size_t(field_.info().components); }
 

@@ -21,15 +21,16 @@ std::string printManifest(const Manifest& manifest);
 
 class Dataset {
 public:
-    // Reads the manifest; no frame is touched. Errors: kNotFound (no folder, or none of ours), kTooNew, kCorrupt, kIo.
+    // Reads the manifest; no frame is touched. Errors: kNotFound (no folder, or none of ours), kTooNew,
+    // kCorrupt, kIo.
     static Result<Dataset> open(const std::filesystem::path& folder);
 
     const std::filesystem::path& folder() const { return folder_; }
     const Manifest& manifest() const { return manifest_; }
     // The entry of a frame number, or nullptr.
     const FrameEntry* findFrame(std::uint32_t frame) const;
-    // Errors: kNotFound (no such frame; says which there are), kCorrupt (the file is not the one the manifest means),
-    // and those of BrickStore::open.
+    // Errors: kNotFound (no such frame; says which there are), kCorrupt (the file is not the one the manifest
+    // means), and those of BrickStore::open.
     Result<std::shared_ptr<const BrickStore>> openFrame(std::uint32_t frame) const;
 
 private:

@@ -1,7 +1,8 @@
-// Adds frames to a dataset folder so that a kill at any moment leaves the old state or the new: a frame is written
-// under a temporary name, synced, renamed, and only then entered into the manifest by an atomic replace.
-// Several processes may add frames to one folder: only the replace of the manifest is done under a lock.
-// Temporary files carry a lock while their writer lives; those without one are litter and are removed at open.
+// Adds frames to a dataset folder so that a kill at any moment leaves the old state or the new: a frame is
+// written under a temporary name, synced, renamed, and only then entered into the manifest by an atomic
+// replace. Several processes may add frames to one folder: only the replace of the manifest is done under a
+// lock. Temporary files carry a lock while their writer lives; those without one are litter and are removed
+// at open.
 #pragma once
 
 #include <cstdint>
@@ -15,7 +16,8 @@
 namespace brickyard {
 
 enum class ExistingDataset {
-    kContinue,   // add the frames that are missing; refuse settings or sources that differ from the stored ones
+    kContinue,   // add the frames that are missing; refuse settings or sources that differ from the stored
+                 // ones
     kAppend,     // as kContinue, and new frames are welcome
     kOverwrite,  // build aside, then exchange the folders: readers see the old dataset or the new one
 };
@@ -23,18 +25,20 @@ enum class ExistingDataset {
 class DatasetWriter {
 public:
     // `settings` has everything of the manifest but frames. Creates the folder where there is none.
-    // Errors: kInvalid (exists and is something else, or was made with other settings: says which and what to do), kIo.
-    static Result<std::unique_ptr<DatasetWriter>> open(const std::filesystem::path& folder, const Manifest& settings,
-                                                       ExistingDataset existing);
-    // Not committed: removes its temporary files and, where it created the folder and no frame was added, the folder.
+    // Errors: kInvalid (exists and is something else, or was made with other settings: says which and what to
+    // do), kIo.
+    static Result<std::unique_ptr<DatasetWriter>> open(const std::filesystem::path& folder,
+                                                       const Manifest& settings, ExistingDataset existing);
+    // Not committed: removes its temporary files and, where it created the folder and no frame was added, the
+    // folder.
     ~DatasetWriter();
 
     // What is there now, frames included.
     const Manifest& manifest() const;
     // A fresh path in the same file system for FrameWriter; locked by this process.
     Result<std::filesystem::path> temporaryFrame(std::uint32_t frame);
-    // The file at `temporary`, complete and synced, becomes frame `entry.frame`: fills in entry.file, renames, syncs
-    // the folder, replaces the manifest. A frame of that number is replaced.
+    // The file at `temporary`, complete and synced, becomes frame `entry.frame`: fills in entry.file,
+    // renames, syncs the folder, replaces the manifest. A frame of that number is replaced.
     Result<void> commitFrame(const std::filesystem::path& temporary, FrameEntry entry);
     // After the last frame; with kOverwrite this is where the new dataset takes the old one's place.
     Result<void> finish();

@@ -60,7 +60,8 @@ DeviationPart::SubBox& DeviationPart::at(int index) {
 }
 
 void addBrickDeviation(const NodeKey& node, std::span<const double> node_samples, const NodeKey& part,
-                       std::span<const double> part_samples, BrickShape shape, double scale, DeviationPart& out) {
+                       std::span<const double> part_samples, BrickShape shape, double scale,
+                       DeviationPart& out) {
     const int n = shape.edge_cells, s = shape.edgeSamples();
     const Placement place_in = place(node, part, shape);
     std::array<std::vector<Lerp>, 3> lerp;
@@ -113,7 +114,8 @@ void addBrickDeviation(const NodeKey& node, std::span<const double> node_samples
             const double* row = y.data() + std::size_t((lk.cell * s + j) * s);
             const double* source = part_samples.data() + std::size_t((k * s + j) * s);
             for (int begin = 0; begin < s;) {
-                // A run of samples in one sub-box, closed at both ends for the largest, half-open for the squares.
+                // A run of samples in one sub-box, closed at both ends for the largest, half-open for the
+                // squares.
                 const int bx = boxOf(0, begin, false);
                 double largest = 0, squares = 0;
                 int i = begin;
@@ -138,15 +140,15 @@ void addBrickDeviation(const NodeKey& node, std::span<const double> node_samples
     }
 }
 
-void addUniformDeviation(const NodeKey& node, std::span<const double> node_samples, const NodeKey& part, double value,
-                         BrickShape shape, double scale, DeviationPart& out) {
+void addUniformDeviation(const NodeKey& node, std::span<const double> node_samples, const NodeKey& part,
+                         double value, BrickShape shape, double scale, DeviationPart& out) {
     const int n = shape.edge_cells;
     const Placement place_in = place(node, part, shape);
     // The part is either whole cells of the node, or lies inside one of them.
     const double extent = std::ldexp(double(n), part.level - node.level);
     const int cells = std::max(1, int(extent));
-    const double piece = std::min(1.0, extent);               // in cells of the node
-    const double m = std::ldexp(piece, node.level);           // level-0 samples per axis of a piece
+    const double piece = std::min(1.0, extent);      // in cells of the node
+    const double m = std::ldexp(piece, node.level);  // level-0 samples per axis of a piece
 
     // Sums over i in [0, m) of the products of the two hat weights (1 - i/m) and i/m.
     const double s1 = (m - 1) / 2, s2 = (m - 1) * (2 * m - 1) / (6 * m);
@@ -157,14 +159,16 @@ void addUniformDeviation(const NodeKey& node, std::span<const double> node_sampl
     for (int cz = 0; cz < cells; ++cz)
         for (int cy = 0; cy < cells; ++cy)
             for (int cx = 0; cx < cells; ++cx) {
-                const std::array<int, 3> cell{place_in.axis[0].first_cell + cx, place_in.axis[1].first_cell + cy,
+                const std::array<int, 3> cell{place_in.axis[0].first_cell + cx,
+                                              place_in.axis[1].first_cell + cy,
                                               place_in.axis[2].first_cell + cz};
                 double d[2][2][2];
                 double largest = 0;
                 for (int c = 0; c < 8; ++c) {
                     std::array<double, 3> t;
                     for (std::size_t a = 0; a < 3; ++a) {
-                        const double from = extent < 1 ? place_in.axis[a].begin - place_in.axis[a].first_cell : 0;
+                        const double from =
+                            extent < 1 ? place_in.axis[a].begin - place_in.axis[a].first_cell : 0;
                         t[a] = from + ((c >> a & 1) ? piece : 0);
                     }
                     double v = 0;
@@ -172,8 +176,8 @@ void addUniformDeviation(const NodeKey& node, std::span<const double> node_sampl
                         const double weight = ((q & 1) ? t[0] : 1 - t[0]) * ((q & 2) ? t[1] : 1 - t[1]) *
                                               ((q & 4) ? t[2] : 1 - t[2]);
                         if (weight != 0)
-                            v += weight * node_samples[shape.sampleAt(cell[0] + (q & 1), cell[1] + (q >> 1 & 1),
-                                                                      cell[2] + (q >> 2))];
+                            v += weight * node_samples[shape.sampleAt(
+                                              cell[0] + (q & 1), cell[1] + (q >> 1 & 1), cell[2] + (q >> 2))];
                     }
                     d[c & 1][c >> 1 & 1][c >> 2] = (v - value) * inverse;
                     largest = std::max(largest, std::abs(v - value));
@@ -181,8 +185,8 @@ void addUniformDeviation(const NodeKey& node, std::span<const double> node_sampl
                 double squares = 0;
                 for (int p = 0; p < 8; ++p)
                     for (int q = 0; q < 8; ++q)
-                        squares += d[p & 1][p >> 1 & 1][p >> 2] * d[q & 1][q >> 1 & 1][q >> 2] * w[p & 1][q & 1] *
-                                   w[p >> 1 & 1][q >> 1 & 1] * w[p >> 2][q >> 2];
+                        squares += d[p & 1][p >> 1 & 1][p >> 2] * d[q & 1][q >> 1 & 1][q >> 2] *
+                                   w[p & 1][q & 1] * w[p >> 1 & 1][q >> 1 & 1] * w[p >> 2][q >> 2];
                 DeviationPart::SubBox& box =
                     out.at(gridIndex(cell[0] / box_cells, cell[1] / box_cells, cell[2] / box_cells));
                 box.largest = std::max(box.largest, largest);

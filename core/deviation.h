@@ -1,6 +1,7 @@
-// How far a node's field is from level 0: exact, because the lattices nest. Within a level-0 cell both fields are
-// trilinear, so the largest deviation is at a level-0 sample; where level 0 is one value over a box, a closed form gives
-// the largest deviation and the sum of squares without visiting its samples. Not thread-safe; one per node and thread.
+// How far a node's field is from level 0: exact, because the lattices nest. Within a level-0 cell both fields
+// are trilinear, so the largest deviation is at a level-0 sample; where level 0 is one value over a box, a
+// closed form gives the largest deviation and the sum of squares without visiting its samples. Not
+// thread-safe; one per node and thread.
 #pragma once
 
 #include <array>
@@ -16,9 +17,10 @@ namespace brickyard {
 // What one part of a node's region adds to it.
 struct DeviationPart {
     struct SubBox {
-        int index = 0;     // in the node's error grid
+        int index = 0;  // in the node's error grid
         double largest = 0;
-        double squares = 0;  // sum of (deviation / scale)^2 over the level-0 samples the part owns in this sub-box
+        double squares =
+            0;  // sum of (deviation / scale)^2 over the level-0 samples the part owns in this sub-box
     };
     std::array<SubBox, kErrorGridCells> boxes;
     int count = 0;
@@ -27,13 +29,15 @@ struct DeviationPart {
 };
 
 // `node_samples`: the decoded samples of `node`, (N + 1)^3 of one component. `scale` keeps squares in range.
-// The level-0 brick `part` below `node`, with its samples: largest over the closed brick, squares over [0, N)^3.
+// The level-0 brick `part` below `node`, with its samples: largest over the closed brick, squares over [0,
+// N)^3.
 void addBrickDeviation(const NodeKey& node, std::span<const double> node_samples, const NodeKey& part,
-                       std::span<const double> part_samples, BrickShape shape, double scale, DeviationPart& out);
+                       std::span<const double> part_samples, BrickShape shape, double scale,
+                       DeviationPart& out);
 
 // The region of node `part` (any level below `node`'s), where level 0 is `value` everywhere.
-void addUniformDeviation(const NodeKey& node, std::span<const double> node_samples, const NodeKey& part, double value,
-                         BrickShape shape, double scale, DeviationPart& out);
+void addUniformDeviation(const NodeKey& node, std::span<const double> node_samples, const NodeKey& part,
+                         double value, BrickShape shape, double scale, DeviationPart& out);
 
 // All parts of a node together.
 class NodeDeviation {

@@ -29,8 +29,8 @@ struct ChannelInfo {
     bool saved_as_half = false;
 };
 
-// All samples of a box: `values` component by component (planar), each x fastest, `sampleBytes(type)` a sample;
-// `active` one byte per sample, 0 or 1, x fastest.
+// All samples of a box: `values` component by component (planar), each x fastest, `sampleBytes(type)` a
+// sample; `active` one byte per sample, 0 or 1, x fastest.
 struct SampleBlock {
     std::vector<std::byte> values;
     std::vector<std::uint8_t> active;
@@ -48,12 +48,13 @@ public:
 
     virtual const ChannelInfo& info() const = 0;
 
-    // The one value and state that every sample of `box` has, or nothing where they differ. Must be cheap on huge
-    // boxes: it is asked top-down, from boxes of 2^32 samples an edge to single bricks. Positions outside int32 are
-    // inactive background.
+    // The one value and state that every sample of `box` has, or nothing where they differ. Must be cheap on
+    // huge boxes: it is asked top-down, from boxes of 2^32 samples an edge to single bricks. Positions
+    // outside int32 are inactive background.
     virtual std::optional<UniformRegion> uniformOver(const IndexBox& box) const = 0;
 
-    // The samples of `box`, which has at most 2^24. Errors: whatever reading the source can meet, with file and grid.
+    // The samples of `box`, which has at most 2^24. Errors: whatever reading the source can meet, with file
+    // and grid.
     virtual Result<void> read(const IndexBox& box, SampleBlock& out) const = 0;
 };
 

@@ -16,7 +16,8 @@ T finiteOf(T value, NonFinite policy) {
     return std::copysign(std::numeric_limits<T>::max(), value);
 }
 
-// The index of the first value that is not finite, or n; with a policy that replaces, replaces all and gives n.
+// The index of the first value that is not finite, or n; with a policy that replaces, replaces all and gives
+// n.
 template <class T>
 std::size_t scan(std::vector<std::byte>& bytes, NonFinite policy) {
     const std::size_t n = bytes.size() / sizeof(T);
@@ -51,9 +52,10 @@ Result<FiniteField> FiniteField::create(const FieldSource& source, NonFinite pol
         const double value = toDouble(field.info_.type, bits);
         if (std::isfinite(value)) continue;
         if (policy == NonFinite::kReject)
-            return fail(ErrorCode::kInvalid, fmt::format("channel '{}': its background is {}; convert with --nonfinite zero "
-                                                         "or clamp to replace it",
-                                                         field.info_.name, value));
+            return fail(ErrorCode::kInvalid,
+                        fmt::format("channel '{}': its background is {}; convert with --nonfinite zero "
+                                    "or clamp to replace it",
+                                    field.info_.name, value));
         bits = finiteBits(field.info_.type, bits, policy);
     }
     return field;
@@ -82,9 +84,10 @@ Result<void> FiniteField::read(const IndexBox& box, SampleBlock& out) const {
 }
 
 tl::unexpected<Error> refuseNonFinite(const ChannelInfo& channel, const Index3& voxel) {
-    return fail(ErrorCode::kInvalid, fmt::format("channel '{}': voxel ({}, {}, {}) is not finite; convert with --nonfinite "
-                                                 "zero or clamp to replace such values",
-                                                 channel.name, voxel[0], voxel[1], voxel[2]));
+    return fail(ErrorCode::kInvalid,
+                fmt::format("channel '{}': voxel ({}, {}, {}) is not finite; convert with --nonfinite "
+                            "zero or clamp to replace such values",
+                            channel.name, voxel[0], voxel[1], voxel[2]));
 }
 
 }  // namespace brickyard

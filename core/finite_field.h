@@ -15,12 +15,14 @@ public:
     static Result<FiniteField> create(const FieldSource& source, NonFinite policy);
 
     const ChannelInfo& info() const override { return info_; }
-    // Under kReject a region of one value may come back not finite: whoever asks refuses it (see refuseNonFinite).
+    // Under kReject a region of one value may come back not finite: whoever asks refuses it (see
+    // refuseNonFinite).
     std::optional<UniformRegion> uniformOver(const IndexBox& box) const override;
     Result<void> read(const IndexBox& box, SampleBlock& out) const override;
 
 private:
-    FiniteField(const FieldSource& source, NonFinite policy) : source_(&source), policy_(policy), info_(source.info()) {}
+    FiniteField(const FieldSource& source, NonFinite policy)
+        : source_(&source), policy_(policy), info_(source.info()) {}
     const FieldSource* source_;
     NonFinite policy_;
     ChannelInfo info_;

@@ -1,5 +1,5 @@
-// Doubles as floats that bound them. Values beyond the float range saturate at the largest finite float: a file never
-// holds an infinity (docs/format.md says what a saturated bound means). Pure, any thread.
+// Doubles as floats that bound them. Values beyond the float range saturate at the largest finite float: a
+// file never holds an infinity (docs/format.md says what a saturated bound means). Pure, any thread.
 #pragma once
 
 #include <cmath>

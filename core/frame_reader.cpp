@@ -51,8 +51,9 @@ Result<NodeRecord> FrameReader::findBrick(const PageAddress& page) const {
                     fmt::format("{}: channel {}, block {}, node {} has one value and no payload",
                                 store_->path().filename().string(), page.channel, page.block, page.node));
     if (page.draft && !record.hasDraft())
-        return fail(ErrorCode::kNotFound, fmt::format("{}: channel {}, block {}, node {} has no draft",
-                                                      store_->path().filename().string(), page.channel, page.block, page.node));
+        return fail(ErrorCode::kNotFound,
+                    fmt::format("{}: channel {}, block {}, node {} has no draft",
+                                store_->path().filename().string(), page.channel, page.block, page.node));
     return record;
 }
 

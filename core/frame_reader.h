@@ -25,8 +25,8 @@ public:
     Result<std::shared_ptr<const TreeBlock>> block(std::uint32_t channel, std::uint32_t block) const;
     // Size of a block as stored, without reading it. Errors: kNotFound.
     Result<std::uint32_t> storedBlockBytes(std::uint32_t channel, std::uint32_t block) const;
-    // The record of a brick. Errors: kNotFound (no such channel, block or node, a node of one value, or one without
-    // the draft that is asked for), kCorrupt, kIo.
+    // The record of a brick. Errors: kNotFound (no such channel, block or node, a node of one value, or one
+    // without the draft that is asked for), kCorrupt, kIo.
     Result<NodeRecord> findBrick(const PageAddress& page) const;
     // Stored bytes of the whole payload or of its draft, neither decoded nor verified. REQUIRES: !draft ||
     // record.hasDraft(). Errors: kCorrupt (outside the file), kIo.

@@ -1,5 +1,5 @@
-// Writes one frame file front to back: payloads, tree blocks, footer. Sequential, so it works on anything that can be
-// appended to. docs/format.md tells the order. Not thread-safe.
+// Writes one frame file front to back: payloads, tree blocks, footer. Sequential, so it works on anything
+// that can be appended to. docs/format.md tells the order. Not thread-safe.
 #pragma once
 
 #include <cstdint>

@@ -1,4 +1,5 @@
-// Boxes of integer positions in index space. 64 bits, so that extents of the whole int32 lattice do not overflow.
+// Boxes of integer positions in index space. 64 bits, so that extents of the whole int32 lattice do not
+// overflow.
 #pragma once
 
 #include <array>

@@ -32,14 +32,17 @@ std::vector<double> reduceLevel(std::span<const double> fine, int edge_cells) {
     return z;
 }
 
-double reductionRms(std::span<const double> fine, std::span<const double> coarse, int edge_cells, double scale) {
-    const std::size_t f = std::size_t(2 * edge_cells + 3), c = std::size_t(edge_cells + 1), n = std::size_t(2 * edge_cells + 1);
+double reductionRms(std::span<const double> fine, std::span<const double> coarse, int edge_cells,
+                    double scale) {
+    const std::size_t f = std::size_t(2 * edge_cells + 3), c = std::size_t(edge_cells + 1),
+                      n = std::size_t(2 * edge_cells + 1);
     const double inverse = 1 / scale;
     double sum = 0;
     for (std::size_t k = 0; k < n; ++k)
         for (std::size_t j = 0; j < n; ++j)
             for (std::size_t i = 0; i < n; ++i) {
-                // At a half-way position the neighbours average; at a lattice position both are the same sample.
+                // At a half-way position the neighbours average; at a lattice position both are the same
+                // sample.
                 double value = 0;
                 for (std::size_t corner = 0; corner < 8; ++corner) {
                     const std::size_t ci = (i + (corner & 1)) / 2, cj = (j + (corner >> 1 & 1)) / 2;

@@ -1,7 +1,8 @@
 // The name of an octree node: its level and its signed brick coordinates. Plain value, any thread.
 //
-// Level l has its samples at the multiples of 2^l of index space. With N cells per brick edge, node (l; x, y, z) owns
-// the cells of [x, x+1) * N * 2^l per axis, and its eight children tile it exactly. Octants are x + 2y + 4z.
+// Level l has its samples at the multiples of 2^l of index space. With N cells per brick edge, node (l; x, y,
+// z) owns the cells of [x, x+1) * N * 2^l per axis, and its eight children tile it exactly. Octants are x +
+// 2y + 4z.
 #pragma once
 
 #include <cstddef>
@@ -36,7 +37,8 @@ bool mortonLess(const NodeKey& a, const NodeKey& b);
 struct NodeKeyHash {
     std::size_t operator()(const NodeKey& key) const {
         auto mix = [](std::uint64_t h) { return (h ^ (h >> 29)) * 0xbf58476d1ce4e5b9ull; };
-        std::uint64_t h = mix(std::uint64_t(std::uint32_t(key.x)) | std::uint64_t(std::uint32_t(key.y)) << 32);
+        std::uint64_t h =
+            mix(std::uint64_t(std::uint32_t(key.x)) | std::uint64_t(std::uint32_t(key.y)) << 32);
         h = mix(h ^ (std::uint64_t(std::uint32_t(key.z)) | std::uint64_t(std::uint32_t(key.level)) << 32));
         return std::size_t(h ^ (h >> 32));
     }

@@ -6,8 +6,8 @@
 
 namespace brickyard {
 
-Result<FrameFooter> buildFrame(std::span<const FieldSource* const> channels, std::span<const BuildOptions> options,
-                               FrameWriter& writer) {
+Result<FrameFooter> buildFrame(std::span<const FieldSource* const> channels,
+                               std::span<const BuildOptions> options, FrameWriter& writer) {
     assert(channels.size() == options.size());
     std::vector<std::unique_ptr<ChannelBuilder>> builders;
     std::size_t total = 0, done = 0;

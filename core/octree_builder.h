@@ -1,9 +1,9 @@
 // From one channel's field to its octree of bricks: topology, levels, statistics, error bounds, payloads.
 //
-// Levels: full weighting (1/4, 1/2, 1/4 per axis) of the level below; level l is stored on the ancestors of level-0
-// bricks, and counts as background elsewhere. Every coarse level is quantised to a tenth of its own step's RMS and the
-// deviations are measured on the decoded values against the source's level 0, so bounds hold for what a reader sees.
-// docs/design.md, sections "Levels" and "Error".
+// Levels: full weighting (1/4, 1/2, 1/4 per axis) of the level below; level l is stored on the ancestors of
+// level-0 bricks, and counts as background elsewhere. Every coarse level is quantised to a tenth of its own
+// step's RMS and the deviations are measured on the decoded values against the source's level 0, so bounds
+// hold for what a reader sees. docs/design.md, sections "Levels" and "Error".
 #pragma once
 
 #include <functional>
@@ -33,10 +33,10 @@ struct BuildOptions {
     std::function<void(std::size_t done, std::size_t total)> progress;
 };
 
-// Builds every channel and appends payloads (finest level of all channels first), then tree blocks. Gives the footer
-// for FrameWriter::finish. The same bytes for any ParallelFor.
-// Errors: those of the sources; kInvalid (a value that is not finite: names channel, voxel and value); kIo.
-Result<FrameFooter> buildFrame(std::span<const FieldSource* const> channels, std::span<const BuildOptions> options,
-                               FrameWriter& writer);
+// Builds every channel and appends payloads (finest level of all channels first), then tree blocks. Gives the
+// footer for FrameWriter::finish. The same bytes for any ParallelFor. Errors: those of the sources; kInvalid
+// (a value that is not finite: names channel, voxel and value); kIo.
+Result<FrameFooter> buildFrame(std::span<const FieldSource* const> channels,
+                               std::span<const BuildOptions> options, FrameWriter& writer);
 
 }  // namespace brickyard

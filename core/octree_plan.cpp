@@ -48,7 +48,8 @@ bool meetsOrigin(const std::vector<PlannedNode>& nodes) {
 }
 
 bool allInner(const std::vector<PlannedNode>& nodes) {
-    return std::all_of(nodes.begin(), nodes.end(), [](const PlannedNode& n) { return n.kind == PlannedKind::kInner; });
+    return std::all_of(nodes.begin(), nodes.end(),
+                       [](const PlannedNode& n) { return n.kind == PlannedKind::kInner; });
 }
 
 }  // namespace
@@ -62,7 +63,8 @@ IndexBox closedRegion(const NodeKey& key, BrickShape shape) {
 }
 
 OctreePlan OctreePlan::make(const FieldSource& field, BrickShape shape) {
-    // Two nodes per axis at this level hold every cell that touches an int32 position, the one below INT_MIN included.
+    // Two nodes per axis at this level hold every cell that touches an int32 position, the one below INT_MIN
+    // included.
     const int top = 32 - std::countr_zero(unsigned(shape.edge_cells));
     Planner planner(field, shape);
     for (int octant = 0; octant < 8; ++octant)

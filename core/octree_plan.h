@@ -1,5 +1,5 @@
-// Which nodes a channel's octree has, before any brick is read: the field's regions of one value from the top down.
-// Immutable once made: any thread.
+// Which nodes a channel's octree has, before any brick is read: the field's regions of one value from the top
+// down. Immutable once made: any thread.
 #pragma once
 
 #include <cstdint>
@@ -27,8 +27,8 @@ struct PlannedNode {
 
 class OctreePlan {
 public:
-    // Asks `field` about boxes from all of int32 down to single bricks. The roots are one node, or up to eight that
-    // meet at the origin (floor division never brings -1 and 0 together).
+    // Asks `field` about boxes from all of int32 down to single bricks. The roots are one node, or up to
+    // eight that meet at the origin (floor division never brings -1 and 0 together).
     static OctreePlan make(const FieldSource& field, BrickShape shape);
 
     // By level, each in Morton order; empty when the whole field is inactive background.
@@ -45,7 +45,8 @@ private:
     std::vector<std::unordered_map<NodeKey, std::uint32_t, NodeKeyHash>> index_;
 };
 
-// Samples of a node's closed region [k, k + N] * 2^level, faces included, as a half-open box of level-0 positions.
+// Samples of a node's closed region [k, k + N] * 2^level, faces included, as a half-open box of level-0
+// positions.
 IndexBox closedRegion(const NodeKey& key, BrickShape shape);
 
 }  // namespace brickyard

@@ -1,4 +1,5 @@
-// A page within one frame: a brick, by the place of its node in the octree, whole or its draft. Plain value, any thread.
+// A page within one frame: a brick, by the place of its node in the octree, whole or its draft. Plain value,
+// any thread.
 #pragma once
 
 #include <cstddef>
@@ -10,7 +11,8 @@ struct PageAddress {
     std::uint32_t channel = 0;  // index in FrameFooter.channels
     std::uint32_t block = 0;    // index in ChannelFooter.blocks
     std::uint32_t node = 0;     // index in the block
-    bool draft = false;         // only the prefix of the payload that decodes to an approximation (core/brick_codec.h)
+    bool draft =
+        false;  // only the prefix of the payload that decodes to an approximation (core/brick_codec.h)
 
     bool operator==(const PageAddress&) const = default;
 };

@@ -1,6 +1,6 @@
 // The octree of one channel, as the builder made it, cut into tree blocks: stored bytes for the frame file.
-// Subtrees are cut bottom-up where they reach kBlockTargetNodes, so blocks hold a few thousand nodes and none more
-// than kMaxBlockNodes; the top of the tree is block 0. docs/format.md, section "Tree block".
+// Subtrees are cut bottom-up where they reach kBlockTargetNodes, so blocks hold a few thousand nodes and none
+// more than kMaxBlockNodes; the top of the tree is block 0. docs/format.md, section "Tree block".
 #pragma once
 
 #include <cstddef>
@@ -18,16 +18,16 @@ namespace brickyard {
 inline constexpr std::uint32_t kBlockTargetNodes = 1024;
 
 struct TreeNode {
-    NodeRecord record;  // `constant` and `grid` are filled in by the encoder
-    std::vector<ValueBits> constant;         // one per component; only where record.payload_bytes == 0
-    std::unique_ptr<ErrorGrid> grid;         // may be null
-    std::uint8_t valid_mask = 0;             // octants that have a child; 0 for a leaf
+    NodeRecord record;                // `constant` and `grid` are filled in by the encoder
+    std::vector<ValueBits> constant;  // one per component; only where record.payload_bytes == 0
+    std::unique_ptr<ErrorGrid> grid;  // may be null
+    std::uint8_t valid_mask = 0;      // octants that have a child; 0 for a leaf
     std::vector<std::unique_ptr<TreeNode>> children;  // in octant order of valid_mask
 };
 
-// Gives the stored bytes of each block in the order of block numbers; `raw_bytes` receives their decompressed sizes.
-// `roots` has at most 8 nodes. No roots give no blocks.
-std::vector<std::vector<std::byte>> encodeTree(const std::vector<std::unique_ptr<TreeNode>>& roots, int components,
-                                               std::vector<std::uint32_t>& raw_bytes);
+// Gives the stored bytes of each block in the order of block numbers; `raw_bytes` receives their decompressed
+// sizes. `roots` has at most 8 nodes. No roots give no blocks.
+std::vector<std::vector<std::byte>> encodeTree(const std::vector<std::unique_ptr<TreeNode>>& roots,
+                                               int components, std::vector<std::uint32_t>& raw_bytes);
 
 }  // namespace brickyard

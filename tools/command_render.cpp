@@ -24,7 +24,8 @@ constexpr std::uint32_t kMaxEdge = 65536;
 constexpr std::uint64_t kMaxPixels = 1ull << 28;
 
 struct RenderOptions {
-    std::string source, output, size = "640x480", camera, scene, quality = "final", cache = "1G", max_bytes, token_file;
+    std::string source, output, size = "640x480", camera, scene, quality = "final", cache = "1G", max_bytes,
+                                token_file;
     std::string device = "cpu";
     std::optional<std::uint32_t> frame;
     std::optional<double> density_scale, max_error, deadline;
@@ -37,14 +38,17 @@ Result<void> parsePictureSize(const std::string& text, std::uint32_t& width, std
     const auto [x, error] = std::from_chars(text.data(), end, width);
     if (error == std::errc() && x != end && *x == 'x') {
         const auto [rest, error2] = std::from_chars(x + 1, end, height);
-        if (error2 == std::errc() && rest == end && width > 0 && height > 0 && width <= kMaxEdge && height <= kMaxEdge &&
-            std::uint64_t(width) * height <= kMaxPixels)
+        if (error2 == std::errc() && rest == end && width > 0 && height > 0 && width <= kMaxEdge &&
+            height <= kMaxEdge && std::uint64_t(width) * height <= kMaxPixels)
             return {};
     }
-    return fail(ErrorCode::kInvalid, fmt::format("--size '{}': give WIDTHxHEIGHT, each from 1 to {}, at most 2^28 pixels", text, kMaxEdge));
+    return fail(ErrorCode::kInvalid,
+                fmt::format("--size '{}': give WIDTHxHEIGHT, each from 1 to {}, at most 2^28 pixels", text,
+                            kMaxEdge));
 }
 
-// What the presets mean (docs/quality.md): an error, and how many pixels a voxel may span before it must be split.
+// What the presets mean (docs/quality.md): an error, and how many pixels a voxel may span before it must be
+// split.
 Result<QualitySettings> qualityOf(const RenderOptions& options) {
     QualitySettings quality;
     if (options.quality == "draft") quality = {.max_error = 0.15, .pixels_per_voxel = 4};
@@ -53,7 +57,8 @@ Result<QualitySettings> qualityOf(const RenderOptions& options) {
     if (options.quality == "reference") quality = {.reference = true};
     if (options.max_error) {
         if (!(*options.max_error > 0 && *options.max_error <= 1))
-            return fail(ErrorCode::kInvalid, fmt::format("--max-error {}: give a number above 0, at most 1", *options.max_error));
+            return fail(ErrorCode::kInvalid,
+                        fmt::format("--max-error {}: give a number above 0, at most 1", *options.max_error));
         quality = {.max_error = *options.max_error};
     }
     if (options.strict && !options.max_error)
@@ -74,7 +79,8 @@ Result<std::string> readToken(const std::string& file) {
 // The frame asked for, or the first there is.
 Result<std::uint32_t> chooseFrame(const Manifest& manifest, const RenderOptions& options) {
     if (manifest.frames_size() == 0)
-        return fail(ErrorCode::kNotFound, fmt::format("{}: has no frames; convert some into it", options.source));
+        return fail(ErrorCode::kNotFound,
+                    fmt::format("{}: has no frames; convert some into it", options.source));
     if (!options.frame) return manifest.frames(0).frame();
     return *options.frame;
 }
@@ -115,16 +121,18 @@ nlohmann::json toJson(const RenderOutcome& outcome) {
         {"max_alpha_error_estimate", max_alpha_estimate},
         {"mean_alpha", alpha / pixels},
         {"final", outcome.final},
-        {"not_final", {{"queued", outcome.not_final.queued},
-                       {"over_budget", outcome.not_final.over_budget},
-                       {"failed", outcome.not_final.failed},
-                       {"no_finer_data", outcome.not_final.no_finer_data}}},
+        {"not_final",
+         {{"queued", outcome.not_final.queued},
+          {"over_budget", outcome.not_final.over_budget},
+          {"failed", outcome.not_final.failed},
+          {"no_finer_data", outcome.not_final.no_finer_data}}},
         {"width", outcome.picture.width},
         {"height", outcome.picture.height},
-        {"camera", {{"eye", std::vector<double>(camera.eye().begin(), camera.eye().end())},
-                    {"target", std::vector<double>(camera.target().begin(), camera.target().end())},
-                    {"up", std::vector<double>(camera.up().begin(), camera.up().end())},
-                    {"vertical_fov_degrees", camera.vertical_fov_degrees()}}},
+        {"camera",
+         {{"eye", std::vector<double>(camera.eye().begin(), camera.eye().end())},
+          {"target", std::vector<double>(camera.target().begin(), camera.target().end())},
+          {"up", std::vector<double>(camera.up().begin(), camera.up().end())},
+          {"vertical_fov_degrees", camera.vertical_fov_degrees()}}},
     };
 }
 
@@ -153,16 +161,20 @@ Result<RenderOutcome> renderTo(const RenderOptions& options) {
         request.density_scale = options.density_scale;
     }
     if (options.device != "cpu")
-        return fail(ErrorCode::kUnsupported, fmt::format("--device {}: this build renders on the CPU; use --device cpu", options.device));
+        return fail(
+            ErrorCode::kUnsupported,
+            fmt::format("--device {}: this build renders on the CPU; use --device cpu", options.device));
     request.threads = options.threads;
 
     // What is written where is checked before anything is drawn.
     const std::filesystem::path output(options.output);
     const bool exr = output.extension() == ".exr", png = output.extension() == ".png";
-    if (!exr && !png) return fail(ErrorCode::kInvalid, fmt::format("-o {}: name a .png or an .exr file", options.output));
+    if (!exr && !png)
+        return fail(ErrorCode::kInvalid, fmt::format("-o {}: name a .png or an .exr file", options.output));
     std::error_code ignored;
     if (output.has_parent_path() && !std::filesystem::is_directory(output.parent_path(), ignored))
-        return fail(ErrorCode::kNotFound, fmt::format("-o {}: its folder does not exist; make it first", options.output));
+        return fail(ErrorCode::kNotFound,
+                    fmt::format("-o {}: its folder does not exist; make it first", options.output));
 
     if (!options.scene.empty()) {
         Result<Scene> scene = readScene(options.scene);
@@ -190,7 +202,8 @@ Result<RenderOutcome> renderTo(const RenderOptions& options) {
     Result<RenderOutcome> outcome = makeCpuRenderer()->render(**source, request);
     line.clear();
     if (!outcome) return outcome;
-    const Result<void> written = exr ? writeExr(outcome->picture, output) : writePng(outcome->picture, outcome->background, output);
+    const Result<void> written =
+        exr ? writeExr(outcome->picture, output) : writePng(outcome->picture, outcome->background, output);
     if (!written) return tl::unexpected(written.error());
     return outcome;
 }
@@ -202,15 +215,20 @@ int runRender(const RenderOptions& options) {
     if (options.json) {
         fmt::print("{}\n", json.dump());
     } else {
-        fmt::print("{}: {} x {}, {}; expected error {:.2g} (largest {:.2g}), at most {:.2g}; {:.2f} s, {} pages, {:.2f} MB\n",
-                   options.output, outcome->picture.width, outcome->picture.height, outcome->final ? "final" : "not final",
-                   json["mean_error_estimate"].get<double>(), json["max_error_estimate"].get<double>(),
-                   json["max_error_bound"].get<double>(), outcome->seconds_total, outcome->streamed.pages_streamed,
-                   double(outcome->streamed.bytes_streamed) / 1e6);
+        fmt::print(
+            "{}: {} x {}, {}; expected error {:.2g} (largest {:.2g}), at most {:.2g}; {:.2f} s, {} pages, "
+            "{:.2f} MB\n",
+            options.output, outcome->picture.width, outcome->picture.height,
+            outcome->final ? "final" : "not final", json["mean_error_estimate"].get<double>(),
+            json["max_error_estimate"].get<double>(), json["max_error_bound"].get<double>(),
+            outcome->seconds_total, outcome->streamed.pages_streamed,
+            double(outcome->streamed.bytes_streamed) / 1e6);
     }
     if (outcome->not_final.failed > 0)
-        return reportError("render", {ErrorCode::kCorrupt, fmt::format("{} pages could not be had and are drawn from coarser ones; first: {}",
-                                                                       outcome->not_final.failed, outcome->first_failure)});
+        return reportError(
+            "render", {ErrorCode::kCorrupt,
+                       fmt::format("{} pages could not be had and are drawn from coarser ones; first: {}",
+                                   outcome->not_final.failed, outcome->first_failure)});
     return kExitDone;
 }
 
@@ -218,23 +236,35 @@ int runRender(const RenderOptions& options) {
 
 void addRenderCommand(CLI::App& app, int& status) {
     auto options = std::make_shared<RenderOptions>();
-    CLI::App* command = app.add_subcommand("render", "Draw a picture of a dataset folder or of ws://HOST:PORT/NAME");
+    CLI::App* command =
+        app.add_subcommand("render", "Draw a picture of a dataset folder or of ws://HOST:PORT/NAME");
     command->add_option("SOURCE", options->source, "Dataset folder, or ws://HOST:PORT/NAME")->required();
-    command->add_option("-o,--output", options->output, "OUT.png (sRGB over the background) or OUT.exr (linear, with Z and error layers)")
+    command
+        ->add_option("-o,--output", options->output,
+                     "OUT.png (sRGB over the background) or OUT.exr (linear, with Z and error layers)")
         ->required();
     command->add_option("--frame", options->frame, "Frame number; the first there is");
     command->add_option("--size", options->size, "WIDTHxHEIGHT in pixels")->capture_default_str();
-    command->add_option("--camera", options->camera, "File or JSON: eye, target, up, vertical_fov_degrees; without one all is framed");
+    command->add_option("--camera", options->camera,
+                        "File or JSON: eye, target, up, vertical_fov_degrees; without one all is framed");
     command->add_option("--scene", options->scene, "File or JSON: medium, light, background (docs/scene.md)");
-    command->add_option("--density-scale", options->density_scale, "Extinction per world unit of a density of 1");
-    command->add_option("--quality", options->quality, "draft, preview, final or reference (exact, the finest level)")
-        ->check(CLI::IsMember({"draft", "preview", "final", "reference"}))->capture_default_str();
-    command->add_option("--max-error", options->max_error, "Refine every pixel until hardly one is off by this; wins over --quality");
+    command->add_option("--density-scale", options->density_scale,
+                        "Extinction per world unit of a density of 1");
+    command
+        ->add_option("--quality", options->quality,
+                     "draft, preview, final or reference (exact, the finest level)")
+        ->check(CLI::IsMember({"draft", "preview", "final", "reference"}))
+        ->capture_default_str();
+    command->add_option("--max-error", options->max_error,
+                        "Refine every pixel until hardly one is off by this; wins over --quality");
     command->add_flag("--strict", options->strict, "Make --max-error a guarantee");
     command->add_option("--deadline", options->deadline, "Seconds; the best picture by then");
-    command->add_option("--max-bytes", options->max_bytes, "Stream at most this, e.g. 2M; the best picture for it");
+    command->add_option("--max-bytes", options->max_bytes,
+                        "Stream at most this, e.g. 2M; the best picture for it");
     command->add_option("--cache", options->cache, "Page cache, e.g. 256M")->capture_default_str();
-    command->add_option("--device", options->device, "cpu")->check(CLI::IsMember({"cpu", "gpu"}))->capture_default_str();
+    command->add_option("--device", options->device, "cpu")
+        ->check(CLI::IsMember({"cpu", "gpu"}))
+        ->capture_default_str();
     command->add_option("--threads", options->threads, "Ray threads; one per processor");
     command->add_option("--token-file", options->token_file, "First line is the server's token");
     command->add_flag("--json", options->json, "One JSON object on stdout and nothing else");

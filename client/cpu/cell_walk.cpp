@@ -36,11 +36,15 @@ double integratePositiveCubic(double v0, double v1, double v2, double v3) {
             double low = from, high = to;
             for (int k = 0; k < 60 && low < high; ++k) {
                 const double middle = 0.5 * (low + high);
-                if ((value(middle) > 0) == begins_positive) low = middle;
-                else high = middle;
+                if ((value(middle) > 0) == begins_positive)
+                    low = middle;
+                else
+                    high = middle;
             }
-            if (begins_positive) to = low;
-            else from = high;
+            if (begins_positive)
+                to = low;
+            else
+                from = high;
         } else if (!begins_positive) {
             continue;
         }

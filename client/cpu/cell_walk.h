@@ -1,4 +1,5 @@
-// The cells of one brick along a ray, and the exact integral of the field through each. Pure functions, any thread.
+// The cells of one brick along a ray, and the exact integral of the field through each. Pure functions, any
+// thread.
 //
 // Along a ray a trilinear cell is a cubic, which two Gauss points integrate exactly (DESIGN.md, section 8).
 // Cell walk: Amanatides, Woo. A Fast Voxel Traversal Algorithm for Ray Tracing. 1987
@@ -15,7 +16,8 @@
 
 namespace brickyard {
 
-// Integral of max(0, cubic) over [0, 1], given the cubic at 0, 1/3, 2/3 and 1: split at its roots, then exact.
+// Integral of max(0, cubic) over [0, 1], given the cubic at 0, 1/3, 2/3 and 1: split at its roots, then
+// exact.
 double integratePositiveCubic(double v0, double v1, double v2, double v3);
 
 // One trilinear cell; corner (i, j, k) is at index i + 2j + 4k.
@@ -23,8 +25,10 @@ struct Cell {
     double corner[8];
 
     double at(double x, double y, double z) const {
-        const double x00 = corner[0] + (corner[1] - corner[0]) * x, x10 = corner[2] + (corner[3] - corner[2]) * x;
-        const double x01 = corner[4] + (corner[5] - corner[4]) * x, x11 = corner[6] + (corner[7] - corner[6]) * x;
+        const double x00 = corner[0] + (corner[1] - corner[0]) * x,
+                     x10 = corner[2] + (corner[3] - corner[2]) * x;
+        const double x01 = corner[4] + (corner[5] - corner[4]) * x,
+                     x11 = corner[6] + (corner[7] - corner[6]) * x;
         const double y0 = x00 + (x10 - x00) * y, y1 = x01 + (x11 - x01) * y;
         return y0 + (y1 - y0) * z;
     }
@@ -45,15 +49,16 @@ inline double meanPositive(const Cell& cell, const glm::dvec3& from, const glm::
         return 0.5 * (cell.at(from + kGauss * way) + cell.at(from + (1 - kGauss) * way));
     }
     const glm::dvec3 way = to - from;
-    return integratePositiveCubic(cell.at(from), cell.at(from + way / 3.0), cell.at(from + way * (2.0 / 3.0)), cell.at(to));
+    return integratePositiveCubic(cell.at(from), cell.at(from + way / 3.0), cell.at(from + way * (2.0 / 3.0)),
+                                  cell.at(to));
 }
 
-// Calls visit(cell, from, to, t_begin, t_end) for each cell of the brick that the ray meets within `span`, in order;
-// `from` and `to` are positions in the cell. Cells outside the node's box [box_begin, box_end) are passed over: there the
-// field is the background. `samples` has (N + 1)^3 floats.
+// Calls visit(cell, from, to, t_begin, t_end) for each cell of the brick that the ray meets within `span`, in
+// order; `from` and `to` are positions in the cell. Cells outside the node's box [box_begin, box_end) are
+// passed over: there the field is the background. `samples` has (N + 1)^3 floats.
 template <class Visit>
-void walkCells(const float* samples, BrickShape shape, const NodeKey& key, const NodeRecord& record, const IndexRay& ray,
-               RaySpan span, Visit&& visit) {
+void walkCells(const float* samples, BrickShape shape, const NodeKey& key, const NodeRecord& record,
+               const IndexRay& ray, RaySpan span, Visit&& visit) {
     const double edge = cellEdge(key.level);  // of a cell, in index units
     const glm::dvec3 low = nodeLow(key, shape);
     glm::dvec3 box_low, box_high;
@@ -77,7 +82,8 @@ void walkCells(const float* samples, BrickShape shape, const NodeKey& key, const
     auto planeBehind = [&](int a) {
         if (step[a] == 0) return std::numeric_limits<double>::infinity();
         const int plane = cell[a] + (step[a] > 0 ? 1 : 0);
-        // The far side of the box does not end the walk: `span` does, and rounding must not lose its last bit.
+        // The far side of the box does not end the walk: `span` does, and rounding must not lose its last
+        // bit.
         if (plane == (step[a] > 0 ? record.box_end[std::size_t(a)] : record.box_begin[std::size_t(a)]))
             return std::numeric_limits<double>::infinity();
         return ray.planeAt(a, low[a] + edge * plane);
@@ -88,7 +94,8 @@ void walkCells(const float* samples, BrickShape shape, const NodeKey& key, const
     const std::size_t sy = std::size_t(s), sz = std::size_t(s) * std::size_t(s);
     double t = span.begin;
     while (t < span.end) {
-        const int a = t_next[0] < t_next[1] ? (t_next[0] < t_next[2] ? 0 : 2) : (t_next[1] < t_next[2] ? 1 : 2);
+        const int a =
+            t_next[0] < t_next[1] ? (t_next[0] < t_next[2] ? 0 : 2) : (t_next[1] < t_next[2] ? 1 : 2);
         const double t_exit = std::min(t_next[a], span.end);
         if (t_exit > t) {
             const float* c = samples + shape.sampleAt(cell[0], cell[1], cell[2]);

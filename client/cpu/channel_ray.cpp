@@ -12,8 +12,8 @@ namespace {
 // Relative rounding of one segment's integral: float samples are exact, so only the double arithmetic counts.
 constexpr double kRounding = 1e-12;
 
-// The effective deviation is rms^0.6 * bound^0.4: deviations have heavy tails, and a ray that grazes the busy corner of a
-// sub-box sees more than its mean. Measured in docs/decisions/0002-error-estimate.md.
+// The effective deviation is rms^0.6 * bound^0.4: deviations have heavy tails, and a ray that grazes the busy
+// corner of a sub-box sees more than its mean. Measured in docs/decisions/0002-error-estimate.md.
 constexpr double kTailShare = 0.4;
 
 double effectiveSquare(double rms, double bound) {
@@ -36,7 +36,10 @@ const CodeSquares kCodeSquares;
 }  // namespace
 
 ChannelRay::ChannelRay(const PagedChannel& channel, const WorldRay& ray, double scale, bool keep_cells)
-    : channel_(&channel), ray_(ray, channel.transform()), scale_(scale), unit_length_(ray_.unitLength()),
+    : channel_(&channel),
+      ray_(ray, channel.transform()),
+      scale_(scale),
+      unit_length_(ray_.unitLength()),
       keep_cells_(keep_cells) {}
 
 void ChannelRay::append(const WalkedNode& node, double worth, std::vector<RaySegment>& out) const {
@@ -59,8 +62,9 @@ void ChannelRay::describeErrors(RaySegment& segment) const {
     if (segment.draft) {
         const double length = scale_ * (segment.span.end - segment.span.begin);
         segment.half_width = double(node.record().draft_bound) * length;
-        segment.variance = effectiveSquare(double(node.record().draft_rms), double(node.record().draft_bound)) * scale_ *
-                           length * unit_length_ * cellEdge(node.key.level);
+        segment.variance =
+            effectiveSquare(double(node.record().draft_rms), double(node.record().draft_bound)) * scale_ *
+            length * unit_length_ * cellEdge(node.key.level);
         return;
     }
     errorsOf(node.record(), node.block->errorGrid(node.ref.node), node.key, segment.span, segment.half_width,
@@ -71,8 +75,8 @@ void ChannelRay::begin(bool finest) {
     segments_.clear();
     finest_ = finest;
     if (channel_->empty()) return;
-    const RaySpan span = ray_.clip(channel_->clipLow(), channel_->clipHigh(),
-                                   {0, std::numeric_limits<double>::infinity()});
+    const RaySpan span =
+        ray_.clip(channel_->clipLow(), channel_->clipHigh(), {0, std::numeric_limits<double>::infinity()});
     if (span.empty()) return;
     walkOctree(
         *channel_, ray_, span, [&](const WalkedNode&) { return finest; },
@@ -82,7 +86,8 @@ void ChannelRay::begin(bool finest) {
         });
 }
 
-void ChannelRay::want(const WantedPage& page, std::uint32_t bytes, double worth, const RayContext& context) const {
+void ChannelRay::want(const WantedPage& page, std::uint32_t bytes, double worth,
+                      const RayContext& context) const {
     context.wants->add(page, bytes, worth, context.tile);
 }
 
@@ -96,7 +101,8 @@ void ChannelRay::errorsOf(const NodeRecord& record, const ErrorGrid* grid, const
     const double length = span.end - span.begin;
     if (!grid) {
         half_width = double(record.bound) * scale_ * length;
-        variance = effectiveSquare(double(record.rms), double(record.bound)) * scale_ * scale_ * length * voxel;
+        variance =
+            effectiveSquare(double(record.rms), double(record.bound)) * scale_ * scale_ * length * voxel;
         return;
     }
     const double unit_square = double(record.bound) * double(record.bound) * scale_ * scale_ * voxel;
@@ -118,12 +124,14 @@ void ChannelRay::errorsOf(const NodeRecord& record, const ErrorGrid* grid, const
     }
     double t = span.begin;
     while (t < span.end) {
-        const int a = t_next[0] < t_next[1] ? (t_next[0] < t_next[2] ? 0 : 2) : (t_next[1] < t_next[2] ? 1 : 2);
+        const int a =
+            t_next[0] < t_next[1] ? (t_next[0] < t_next[2] ? 0 : 2) : (t_next[1] < t_next[2] ? 1 : 2);
         const double t_exit = std::min(t_next[a], span.end);
         const std::size_t at = std::size_t(box[0] + kErrorGridEdge * (box[1] + kErrorGridEdge * box[2]));
         if (t_exit > t) {
             half_width += double(errorFromCode(grid->bound[at], record.bound)) * scale_ * (t_exit - t);
-            variance += unit_square * kCodeSquares.rms[grid->rms[at]] * kCodeSquares.bound[grid->bound[at]] * (t_exit - t);
+            variance += unit_square * kCodeSquares.rms[grid->rms[at]] * kCodeSquares.bound[grid->bound[at]] *
+                        (t_exit - t);
             t = t_exit;
         }
         if (t_next[a] >= span.end) break;
@@ -167,8 +175,10 @@ void ChannelRay::integrateBrick(const float* samples, const WalkedNode& node, Ra
                       return;
                   }
                   if (begin > t) {
-                      if (keep_cells_ && cells.empty() && background == 0) step(begin, 0);
-                      else gap(begin);
+                      if (keep_cells_ && cells.empty() && background == 0)
+                          step(begin, 0);
+                      else
+                          gap(begin);
                   }
                   step(end, mean * scale_ * (end - begin));
               });
@@ -181,8 +191,9 @@ void ChannelRay::integrateBrick(const float* samples, const WalkedNode& node, Ra
     const double length = (segment.span.end - segment.span.begin) * scale_;
     segment.low = std::max(sum * (1 - kRounding) - half_width,
                            std::min(double(record.value_min), double(channel_->background())) * length);
-    segment.high = std::min(sum * (1 + kRounding) + half_width,
-                            std::max(double(record.value_max), double(channel_->background())) * length * (1 + kRounding));
+    segment.high = std::min(
+        sum * (1 + kRounding) + half_width,
+        std::max(double(record.value_max), double(channel_->background())) * length * (1 + kRounding));
     segment.low = std::clamp(segment.low, 0.0, sum);
     segment.high = std::max(segment.high, sum);
 }
@@ -194,10 +205,12 @@ void ChannelRay::replace(std::size_t at, std::vector<RaySegment> with) {
         return;
     }
     *place = std::move(with.front());
-    segments_.insert(place + 1, std::make_move_iterator(with.begin() + 1), std::make_move_iterator(with.end()));
+    segments_.insert(place + 1, std::make_move_iterator(with.begin() + 1),
+                     std::make_move_iterator(with.end()));
 }
 
-// A stretch whose block was missing: what the walk finds now takes its place. False while the block has not come.
+// A stretch whose block was missing: what the walk finds now takes its place. False while the block has not
+// come.
 bool ChannelRay::resolveBlocked(std::size_t at, const RayContext& context) {
     const RaySegment segment = segments_[at];
     const WantedPage page{true, {channel_->index(), segment.node.missing_block, 0}};
@@ -251,10 +264,11 @@ bool ChannelRay::integrate(const RayContext& context, double opaque_depth) {
                 continue;
             } else {
                 const NodeRecord& record = node.record();
-                want({false, pageOf(node.ref, segment.draft)}, segment.draft ? record.draft_bytes : record.payload_bytes,
-                     segment.worth, context);
+                want({false, pageOf(node.ref, segment.draft)},
+                     segment.draft ? record.draft_bytes : record.payload_bytes, segment.worth, context);
                 complete = false;
-                depth += std::max(0.0, double(record.value_min)) * scale_ * (segment.span.end - segment.span.begin);
+                depth += std::max(0.0, double(record.value_min)) * scale_ *
+                         (segment.span.end - segment.span.begin);
             }
         }
         if (segment.state == SegmentState::kDone) depth += segment.integral;
@@ -288,7 +302,8 @@ bool ChannelRay::planSplit(const RaySegment& segment, const RayContext& context,
             const WantedPage page{true, {channel_->index(), child.missing_block, 0}};
             out.failed = context.failed->contains(page);
             known = out.failed;
-            if (!known) want(page, std::uint32_t(channel_->blockBytes(child.missing_block)), segment.worth, context);
+            if (!known)
+                want(page, std::uint32_t(channel_->blockBytes(child.missing_block)), segment.worth, context);
             return false;
         }
         append(child, 0, out.children);
@@ -310,7 +325,8 @@ void ChannelRay::split(std::size_t at, Split plan, double worth) {
 }
 
 // Down from the roots while all of a node's bricks are resident; the last brick on the way stands in.
-void ChannelRay::standIn(const RaySegment& segment, const RayContext& context, std::vector<RaySegment>& out) const {
+void ChannelRay::standIn(const RaySegment& segment, const RayContext& context,
+                         std::vector<RaySegment>& out) const {
     const int level = segment.node.status == WalkStatus::kNode ? segment.node.key.level : 0;
     auto resident = [&](const NodeRef& ref) {
         const TreeBlock* block = channel_->block(ref.block);
@@ -337,7 +353,8 @@ void ChannelRay::standIn(const RaySegment& segment, const RayContext& context, s
             // Not even its range is known.
             part.high = part.half_width = part.variance = std::numeric_limits<float>::max();
         } else if (!node.record().hasBrick()) {
-            integrateConstant(double(toFloat(channel_->type(), node.block->constant(node.ref.node)[0])), part);
+            integrateConstant(double(toFloat(channel_->type(), node.block->constant(node.ref.node)[0])),
+                              part);
         } else if (const float* whole = context.cache->find(pageOf(node.ref, false))) {
             describeErrors(part);
             integrateBrick(whole, node, part);
@@ -364,8 +381,10 @@ void ChannelRay::standIn(const RaySegment& segment, const RayContext& context, s
 std::vector<RaySegment> ChannelRay::provisional(const RayContext& context) const {
     std::vector<RaySegment> drawn;
     for (const RaySegment& segment : segments_) {
-        if (segment.state == SegmentState::kDone) drawn.push_back(segment);
-        else standIn(segment, context, drawn);
+        if (segment.state == SegmentState::kDone)
+            drawn.push_back(segment);
+        else
+            standIn(segment, context, drawn);
     }
     return drawn;
 }

@@ -1,9 +1,9 @@
 // One channel along one ray: a cut through the octree as a list of segments, and what is known of each.
 //
-// A ray is refined in rounds: every segment of the cut is integrated, then the rounds' owner splits the segments whose
-// error matters. Each decision depends on stored data alone, never on what happened to be in the cache, so a finished
-// ray is the same, bit for bit, however its pages came. What was integrated is kept: a page is needed once.
-// docs/design.md, section "A ray". Not thread-safe: one thread works on a ray.
+// A ray is refined in rounds: every segment of the cut is integrated, then the rounds' owner splits the
+// segments whose error matters. Each decision depends on stored data alone, never on what happened to be in
+// the cache, so a finished ray is the same, bit for bit, however its pages came. What was integrated is kept:
+// a page is needed once. docs/design.md, section "A ray". Not thread-safe: one thread works on a ray.
 #pragma once
 
 #include <cstdint>
@@ -17,9 +17,10 @@
 
 namespace brickyard {
 
-// A stretch of a segment, one cell or less: where it ends and what was integrated from the segment's begin to there.
+// A stretch of a segment, one cell or less: where it ends and what was integrated from the segment's begin to
+// there.
 struct CellStep {
-    double end = 0;       // world distance
+    double end = 0;  // world distance
     double integral = 0;
     float shadow = -1;    // transmittance to the light; below 0 until ShadowTracer has filled it in
     float shadow_sd = 0;  // its standard deviation
@@ -41,11 +42,11 @@ struct RaySegment {
     double integral = 0;
     double low = 0, high = 0;  // the true one lies within, always
     // Known from topology alone, before the segment is integrated:
-    double half_width = 0;     // the integral of any part of the span is off by no more than this
-    double variance = 0;       // of its expected error
+    double half_width = 0;  // the integral of any part of the span is off by no more than this
+    double variance = 0;    // of its expected error
     // Set by whoever refines the ray:
-    double effect = 0;         // d(pixel) / d(integral); children take it over
-    double worth = 1;          // expected picture error that its page removes
+    double effect = 0;  // d(pixel) / d(integral); children take it over
+    double worth = 1;   // expected picture error that its page removes
     std::vector<CellStep> cells;
     // A shadow ray under way: of which step, and how far it has got.
     std::uint32_t shadow_step = 0;
@@ -59,8 +60,8 @@ struct RayContext {
     const std::unordered_set<WantedPage, WantedPageHash>* failed = nullptr;
     WantList* wants = nullptr;
     std::uint32_t tile = 0;
-    // Pages that the cache could take in after this pass. A ray that is blocked once this many are wanted stops looking for
-    // more: in a small cache the first rays are to be finished, not all of them begun.
+    // Pages that the cache could take in after this pass. A ray that is blocked once this many are wanted
+    // stops looking for more: in a small cache the first rays are to be finished, not all of them begun.
     std::size_t room = SIZE_MAX;
     bool full() const { return wants->size() >= room; }
 };
@@ -79,17 +80,21 @@ public:
     const PagedChannel& channel() const { return *channel_; }
     double scale() const { return scale_; }
 
-    // Integrates what has arrived; wants the rest. Front to back; stops behind `opaque_depth` (in units of the
-    // integral), where everything behind is dropped. True when nothing waits.
+    // Integrates what has arrived; wants the rest. Front to back; stops behind `opaque_depth` (in units of
+    // the integral), where everything behind is dropped. True when nothing waits.
     bool integrate(const RayContext& context, double opaque_depth);
 
     // Whether a finer node could take the segment's place.
     bool canSplit(const RaySegment& segment) const {
-        return !segment.failed && segment.node.status == WalkStatus::kNode && (segment.draft || canDescend(segment.node));
+        return !segment.failed && segment.node.status == WalkStatus::kNode &&
+               (segment.draft || canDescend(segment.node));
     }
     // World edge of a voxel of the segment's level, along the ray.
-    double voxelLength(const RaySegment& segment) const { return unit_length_ * cellEdge(segment.node.key.level); }
-    // What splitting a segment would put in its place, with the errors that topology tells, and the bytes of their bricks.
+    double voxelLength(const RaySegment& segment) const {
+        return unit_length_ * cellEdge(segment.node.key.level);
+    }
+    // What splitting a segment would put in its place, with the errors that topology tells, and the bytes of
+    // their bricks.
     struct Split {
         std::vector<RaySegment> children;
         double variance = 0;
@@ -102,8 +107,8 @@ public:
     // Carries out the plan of segment `at`; its children share `worth`.
     void split(std::size_t at, Split plan, double worth);
 
-    // For a picture that must be shown now: segments that wait are integrated from the nearest resident brick above,
-    // with the errors that has. Leaves the ray itself as it is.
+    // For a picture that must be shown now: segments that wait are integrated from the nearest resident brick
+    // above, with the errors that has. Leaves the ray itself as it is.
     std::vector<RaySegment> provisional(const RayContext& context) const;
 
 private:
@@ -112,11 +117,13 @@ private:
     void standIn(const RaySegment& segment, const RayContext& context, std::vector<RaySegment>& out) const;
     bool resolveBlocked(std::size_t at, const RayContext& context);
     void replace(std::size_t at, std::vector<RaySegment> with);
-    void errorsOf(const NodeRecord& record, const ErrorGrid* grid, const NodeKey& key, RaySpan span, double& half_width,
-                  double& variance) const;
+    void errorsOf(const NodeRecord& record, const ErrorGrid* grid, const NodeKey& key, RaySpan span,
+                  double& half_width, double& variance) const;
     void integrateBrick(const float* samples, const WalkedNode& node, RaySegment& segment) const;
     void integrateConstant(double value, RaySegment& segment) const;
-    PageAddress pageOf(const NodeRef& ref, bool draft) const { return {channel_->index(), ref.block, ref.node, draft}; }
+    PageAddress pageOf(const NodeRef& ref, bool draft) const {
+        return {channel_->index(), ref.block, ref.node, draft};
+    }
     void describeErrors(RaySegment& segment) const;
 
     const PagedChannel* channel_ = nullptr;

@@ -28,7 +28,9 @@ constexpr float kOverviewPixelsPerVoxel = 16;
 // Segments kept of rays that wait, over all tiles; tiles beyond it are taken up later.
 constexpr std::uint64_t kMaxWaitingRays = 4u << 20;
 
-double secondsSince(Clock::time_point begin) { return std::chrono::duration<double>(Clock::now() - begin).count(); }
+double secondsSince(Clock::time_point begin) {
+    return std::chrono::duration<double>(Clock::now() - begin).count();
+}
 
 struct Tile {
     std::uint32_t x0 = 0, y0 = 0, x1 = 0, y1 = 0;
@@ -99,7 +101,8 @@ Result<void> CpuPicture::open() {
     if (request_.density_scale) scene->density_scale = *request_.density_scale;
     const int edge = int(footer->brick_edge());
     auto openChannel = [&](std::uint32_t index, std::optional<PagedChannel>& out) -> Result<void> {
-        Result<PagedChannel> channel = PagedChannel::create(footer->channels(int(index)), index, edge, file_bytes);
+        Result<PagedChannel> channel =
+            PagedChannel::create(footer->channels(int(index)), index, edge, file_bytes);
         if (!channel) return tl::unexpected(channel.error());
         out = std::move(*channel);
         return {};
@@ -111,9 +114,10 @@ Result<void> CpuPicture::open() {
         if (Result<void> opened = openChannel(scene->emission->channel, emission_); !opened) return opened;
 
     const double aspect = double(request_.width) / double(request_.height);
-    outcome_.camera = request_.camera               ? *request_.camera
-                      : request_.scene.has_camera() ? request_.scene.camera()
-                                                    : frameChannel(footer->channels(int(scene->density_channel)), aspect);
+    outcome_.camera = request_.camera ? *request_.camera
+                      : request_.scene.has_camera()
+                          ? request_.scene.camera()
+                          : frameChannel(footer->channels(int(scene->density_channel)), aspect);
     Result<PinholeCamera> camera = PinholeCamera::create(outcome_.camera, request_.width, request_.height);
     if (!camera) return tl::unexpected(camera.error());
     camera_ = *camera;
@@ -121,8 +125,9 @@ Result<void> CpuPicture::open() {
     const BrickShape shape{edge};
     cache_.emplace(request_.cache_bytes, shape.samples());
     if (cache_->capacity() == 0)
-        return fail(ErrorCode::kInvalid, fmt::format("--cache {} is less than one brick of this dataset; give at least {} bytes",
-                                                     request_.cache_bytes, cache_->pageBytes()));
+        return fail(ErrorCode::kInvalid,
+                    fmt::format("--cache {} is less than one brick of this dataset; give at least {} bytes",
+                                request_.cache_bytes, cache_->pageBytes()));
     plan_.camera = &*camera_;
     plan_.density = &*density_;
     plan_.emission = !glows ? nullptr : emission_ ? &*emission_ : &*density_;
@@ -145,7 +150,8 @@ Result<void> CpuPicture::open() {
 Result<void> CpuPicture::take(const PageWish& wish) {
     if (Result<void> sent = source_.wish(wish); !sent) return sent;
     Clock::time_point deadline = Clock::time_point::max();
-    if (request_.deadline) deadline = begin_ + std::chrono::duration_cast<Clock::duration>(*request_.deadline);
+    if (request_.deadline)
+        deadline = begin_ + std::chrono::duration_cast<Clock::duration>(*request_.deadline);
     cache_->beginPass();
     while (!late()) {
         Result<std::vector<Arrival>> arrivals = source_.take(deadline);
@@ -168,14 +174,16 @@ void CpuPicture::arrive(const Arrival& arrival) {
     PagedChannel* channel = channelOf(address.channel);
     if (!channel) return;  // not asked for
     if (arrival.page.is_block) {
-        if (Result<void> added = channel->addBlock(address.block, *arrival.bytes); !added) failed(added.error().message);
+        if (Result<void> added = channel->addBlock(address.block, *arrival.bytes); !added)
+            failed(added.error().message);
         return;
     }
     const TreeBlock* block = address.block < channel->blockCount() ? channel->block(address.block) : nullptr;
     if (!block || address.node >= block->nodeCount() || !block->record(address.node).hasBrick()) return;
     if (cache_->contains(address)) return;
     const NodeRecord& record = block->record(address.node);
-    const std::string where = fmt::format("channel '{}': brick {} of tree block {}", channel->name(), address.node, address.block);
+    const std::string where =
+        fmt::format("channel '{}': brick {} of tree block {}", channel->name(), address.node, address.block);
     if (address.draft && !record.hasDraft()) return;
     if (arrival.bytes->size() != (address.draft ? record.draft_bytes : record.payload_bytes) ||
         checksum(*arrival.bytes) != (address.draft ? record.draft_checksum : record.payload_checksum))
@@ -183,10 +191,10 @@ void CpuPicture::arrive(const Arrival& arrival) {
     // Decoded aside: a payload that is refused half-way must not leave half a brick in the cache.
     std::vector<float> samples(channel->shape().samples());
     const SampleType type = levelType(channel->type(), channel->levelOf({address.block, address.node}));
-    const Result<void> decoded = address.draft ? decodeDraftToFloat(*arrival.bytes, channel->shape(), type, 1, samples)
-                                               : decodeBrickToFloat(*arrival.bytes, channel->shape(), type, 1, samples);
-    if (!decoded)
-        return failed(where + ": " + decoded.error().message);
+    const Result<void> decoded = address.draft
+                                     ? decodeDraftToFloat(*arrival.bytes, channel->shape(), type, 1, samples)
+                                     : decodeBrickToFloat(*arrival.bytes, channel->shape(), type, 1, samples);
+    if (!decoded) return failed(where + ": " + decoded.error().message);
     float* slot = cache_->insert(address);
     if (!slot) return;  // no room now: it is wanted again
     std::copy(samples.begin(), samples.end(), slot);
@@ -254,7 +262,9 @@ Result<void> CpuPicture::pass() {
     std::vector<WantList> wants(threads_);
     forEachThread([&](unsigned thread) {
         for (;;) {
-            if (missed.load(std::memory_order_relaxed) > room || waiting.load(std::memory_order_relaxed) > kMaxWaitingRays) return;
+            if (missed.load(std::memory_order_relaxed) > room ||
+                waiting.load(std::memory_order_relaxed) > kMaxWaitingRays)
+                return;
             const std::size_t i = next.fetch_add(1);
             if (i >= open_tiles.size() || late()) return;
             const std::size_t before = wants[thread].size();
@@ -277,13 +287,15 @@ Result<bool> CpuPicture::stream() {
     std::vector<Ranked> ranked;
     for (const auto& [page, want] : wants_.all()) ranked.push_back({page, want});
     if (ranked.empty()) return false;
-    // Where not all fits, the first tiles come first: they get done, and their pages may go. Else: most error per byte.
+    // Where not all fits, the first tiles come first: they get done, and their pages may go. Else: most error
+    // per byte.
     const std::size_t room = std::max<std::size_t>(1, cache_->room());
     const bool all_fit = ranked.size() <= std::min(room, kMaxWishPages);
     std::sort(ranked.begin(), ranked.end(), [&](const Ranked& a, const Ranked& b) {
         if (a.page.is_block != b.page.is_block) return a.page.is_block;
         if (!all_fit && a.want.tile != b.want.tile) return a.want.tile < b.want.tile;
-        const double worth_a = a.want.worth / double(a.want.bytes + 1), worth_b = b.want.worth / double(b.want.bytes + 1);
+        const double worth_a = a.want.worth / double(a.want.bytes + 1),
+                     worth_b = b.want.worth / double(b.want.bytes + 1);
         if (worth_a != worth_b) return worth_a > worth_b;
         const PageAddress &pa = a.page.address, &pb = b.page.address;
         return std::tie(pa.channel, pa.block, pa.node) < std::tie(pb.channel, pb.block, pb.node);
@@ -292,7 +304,8 @@ Result<bool> CpuPicture::stream() {
     PageWish wish;
     std::size_t pages = 0;
     const std::uint64_t streamed = source_.counters().bytes_streamed;
-    const std::uint64_t allowed = request_.max_stream_bytes > streamed ? request_.max_stream_bytes - streamed : 0;
+    const std::uint64_t allowed =
+        request_.max_stream_bytes > streamed ? request_.max_stream_bytes - streamed : 0;
     for (const Ranked& r : ranked) {
         if (!r.page.is_block && ++pages > room) break;
         if (wish.pages.size() >= kMaxWishPages) break;
@@ -317,7 +330,8 @@ void CpuPicture::drawProvisional() {
             const RayContext ray_context = context(ignored[thread], std::uint32_t(i));
             if (!tile.begun) traceTile(std::uint32_t(i), ignored[thread]);
             for (std::size_t r = 0; r < tile.rays.size(); ++r)
-                outcome_.picture.pixels[tile.where[r]] = tracer_->provisional(tile.rays[r], ray_context).pixel();
+                outcome_.picture.pixels[tile.where[r]] =
+                    tracer_->provisional(tile.rays[r], ray_context).pixel();
         }
     });
 }
@@ -328,10 +342,12 @@ Result<RenderOutcome> CpuPicture::run() {
     PageWish overview;
     CameraView view{outcome_.camera, request_.width, request_.height, {}, kOverviewPixelsPerVoxel};
     for (const std::optional<PagedChannel>* channel : {&density_, &emission_})
-        if (*channel && !(*channel)->empty() && (*channel)->blockCount() > 0) view.channels.push_back((*channel)->index());
+        if (*channel && !(*channel)->empty() && (*channel)->blockCount() > 0)
+            view.channels.push_back((*channel)->index());
     if (!view.channels.empty()) {
         overview.views.push_back(view);
-        overview.credit_bytes = std::min({kOverviewBytes, request_.max_stream_bytes, request_.cache_bytes / 4});
+        overview.credit_bytes =
+            std::min({kOverviewBytes, request_.max_stream_bytes, request_.cache_bytes / 4});
         if (Result<void> taken = take(overview); !taken) return tl::unexpected(taken.error());
     }
 
@@ -341,7 +357,8 @@ Result<RenderOutcome> CpuPicture::run() {
         if (Result<void> drawn = pass(); !drawn) return tl::unexpected(drawn.error());
         if (outcome_.passes == 1) {
             // Tiles that the cache had no room for get their first look too.
-            if (std::any_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return !tile.begun; })) drawProvisional();
+            if (std::any_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return !tile.begun; }))
+                drawProvisional();
             outcome_.seconds_first_image = secondsSince(begin_);
         }
         done = 0;
@@ -356,12 +373,15 @@ Result<RenderOutcome> CpuPicture::run() {
         more = *streamed || (wants_.empty() && !over_budget_);
     }
 
-    const bool all_done = std::all_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return tile.done(); });
+    const bool all_done =
+        std::all_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return tile.done(); });
     if (!all_done) drawProvisional();
     if (outcome_.passes == 0) outcome_.seconds_first_image = secondsSince(begin_);
     outcome_.final = all_done && failed_.empty();
     outcome_.not_final.failed = failed_.size();
-    if (!all_done) (over_budget_ ? outcome_.not_final.over_budget : outcome_.not_final.queued) = std::max<std::size_t>(1, wants_.size());
+    if (!all_done)
+        (over_budget_ ? outcome_.not_final.over_budget : outcome_.not_final.queued) =
+            std::max<std::size_t>(1, wants_.size());
     outcome_.streamed = source_.counters();
     outcome_.cache_bytes = cache_->peakBytes();
     outcome_.cache_reloads = cache_->reloads();

@@ -1,5 +1,5 @@
-// A world ray in the index space of one channel. The parameter t is world distance from the eye in every channel.
-// Plain value, any thread.
+// A world ray in the index space of one channel. The parameter t is world distance from the eye in every
+// channel. Plain value, any thread.
 #pragma once
 
 #include <algorithm>
@@ -27,9 +27,11 @@ struct IndexRay {
     IndexRay() = default;
     IndexRay(const WorldRay& ray, const Affine& transform)
         : origin(transform.inversePoint(ray.origin)), direction(transform.inverseVector(ray.direction)) {
-        const double longest = std::max({std::abs(direction.x), std::abs(direction.y), std::abs(direction.z)});
+        const double longest =
+            std::max({std::abs(direction.x), std::abs(direction.y), std::abs(direction.z)});
         for (int a = 0; a < 3; ++a) {
-            // Below this an axis moves less than a rounding over any distance that matters: it counts as parallel.
+            // Below this an axis moves less than a rounding over any distance that matters: it counts as
+            // parallel.
             parallel[a] = !(std::abs(direction[a]) > longest * 1e-280);
             inverse[a] = parallel[a] ? 0 : 1 / direction[a];
         }
@@ -37,11 +39,12 @@ struct IndexRay {
 
     // World length of one index unit along the ray.
     double unitLength() const { return 1 / glm::length(direction); }
-    // Where the ray meets the plane at `position` of `axis`. One formula everywhere: two boxes that share a face get
-    // the same t, so spans tile without gap or overlap. REQUIRES: !parallel[axis].
+    // Where the ray meets the plane at `position` of `axis`. One formula everywhere: two boxes that share a
+    // face get the same t, so spans tile without gap or overlap. REQUIRES: !parallel[axis].
     double planeAt(int axis, double position) const { return (position - origin[axis]) * inverse[axis]; }
 
-    // The part of `span` inside the box [low, high]; a parallel ray on a shared face belongs to the box above it.
+    // The part of `span` inside the box [low, high]; a parallel ray on a shared face belongs to the box above
+    // it.
     RaySpan clip(const glm::dvec3& low, const glm::dvec3& high, RaySpan span) const {
         for (int a = 0; a < 3; ++a) {
             if (parallel[a]) {

@@ -19,18 +19,23 @@ struct WalkedNode {
     NodeRef ref;
     NodeKey key;
     RaySpan span;
-    const TreeBlock* block = nullptr;  // of `ref`; nullptr for background, and for a root whose block is missing
+    const TreeBlock* block =
+        nullptr;  // of `ref`; nullptr for background, and for a root whose block is missing
     std::uint32_t missing_block = 0;
     const NodeRecord& record() const { return block->record(ref.node); }
 };
 
 // Level 0 has no children, whatever a hostile block says.
-inline bool canDescend(const WalkedNode& node) { return node.key.level > 0 && !node.block->isLeaf(node.ref.node); }
+inline bool canDescend(const WalkedNode& node) {
+    return node.key.level > 0 && !node.block->isLeaf(node.ref.node);
+}
 
 // Edge of a level's cells in index units.
 inline double cellEdge(int level) { return double(std::uint64_t(1) << level); }
 // Low corner and edge of a node's region in index space.
-inline double nodeEdge(const NodeKey& key, BrickShape shape) { return shape.edge_cells * cellEdge(key.level); }
+inline double nodeEdge(const NodeKey& key, BrickShape shape) {
+    return shape.edge_cells * cellEdge(key.level);
+}
 inline glm::dvec3 nodeLow(const NodeKey& key, BrickShape shape) {
     return glm::dvec3(key.x, key.y, key.z) * nodeEdge(key, shape);
 }
@@ -76,19 +81,23 @@ public:
         }
         const unsigned valid = parent.block->validMask(parent.ref.node);
         // The ray begins in one octant and changes it where it crosses a middle plane: four octants at most.
-        const glm::dvec3 middle = nodeLow(parent.key, channel_.shape()) + 0.5 * nodeEdge(parent.key, channel_.shape());
+        const glm::dvec3 middle =
+            nodeLow(parent.key, channel_.shape()) + 0.5 * nodeEdge(parent.key, channel_.shape());
         double crossing[3];
         int octant = 0;
         for (int a = 0; a < 3; ++a) {
-            crossing[a] = ray_.parallel[a] ? std::numeric_limits<double>::infinity() : ray_.planeAt(a, middle[a]);
+            crossing[a] =
+                ray_.parallel[a] ? std::numeric_limits<double>::infinity() : ray_.planeAt(a, middle[a]);
             const bool behind = crossing[a] <= parent.span.begin;
-            const bool upper = ray_.parallel[a] ? ray_.origin[a] >= middle[a] : behind == (ray_.direction[a] > 0);
+            const bool upper =
+                ray_.parallel[a] ? ray_.origin[a] >= middle[a] : behind == (ray_.direction[a] > 0);
             if (behind) crossing[a] = std::numeric_limits<double>::infinity();
             if (upper) octant |= 1 << a;
         }
         double t = parent.span.begin;
         while (t < parent.span.end) {
-            const int a = crossing[0] < crossing[1] ? (crossing[0] < crossing[2] ? 0 : 2) : (crossing[1] < crossing[2] ? 1 : 2);
+            const int a = crossing[0] < crossing[1] ? (crossing[0] < crossing[2] ? 0 : 2)
+                                                    : (crossing[1] < crossing[2] ? 1 : 2);
             const double end = std::min(crossing[a], parent.span.end);
             if (t < end) {
                 WalkedNode child;
@@ -127,7 +136,8 @@ private:
             node.missing_block = node.ref.block;
             return emit_(node);
         }
-        if (node.ref.node >= node.block->nodeCount()) return true;  // a block that lies about its roots: nothing there
+        if (node.ref.node >= node.block->nodeCount())
+            return true;  // a block that lies about its roots: nothing there
         if (canDescend(node) && descend_(static_cast<const WalkedNode&>(node))) return children(node);
         return emit_(node);
     }
@@ -138,8 +148,8 @@ private:
     Emit& emit_;
 };
 
-// From the roots. `descend(node)` decides for each inner node whether to go on to its children; `emit(node)` gets what
-// the ray uses, front to back, and ends the walk by returning false. The spans tile `span`.
+// From the roots. `descend(node)` decides for each inner node whether to go on to its children; `emit(node)`
+// gets what the ray uses, front to back, and ends the walk by returning false. The spans tile `span`.
 template <class Descend, class Emit>
 void walkOctree(const PagedChannel& channel, const IndexRay& ray, RaySpan span, Descend descend, Emit emit) {
     OctreeWalk<Descend, Emit>(channel, ray, descend, emit).roots(span);

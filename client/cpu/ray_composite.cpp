@@ -11,7 +11,8 @@ namespace {
 // What a float pixel and the double sums before it may be off by, relative to 1.
 constexpr double kPixelRounding = 2e-7;
 
-// Optical depth in front of a point, as integrated and as an interval, read off the density's steps in rising order.
+// Optical depth in front of a point, as integrated and as an interval, read off the density's steps in rising
+// order.
 class DepthProfile {
 public:
     explicit DepthProfile(const std::vector<RaySegment>& segments) : segments_(segments) {}
@@ -75,7 +76,9 @@ double distanceTo(const std::vector<RaySegment>& segments, double target) {
         double begin = segment.span.begin, inside = 0;
         for (const CellStep& step : segment.cells) {
             if (before + step.integral >= target && step.integral > inside)
-                return begin + (step.end - begin) * std::clamp((target - before - inside) / (step.integral - inside), 0.0, 1.0);
+                return begin +
+                       (step.end - begin) *
+                           std::clamp((target - before - inside) / (step.integral - inside), 0.0, 1.0);
             begin = step.end;
             inside = step.integral;
         }
@@ -85,9 +88,9 @@ double distanceTo(const std::vector<RaySegment>& segments, double target) {
 }
 
 struct Scattered {
-    double weight = 0;          // integral of T * extinction * shadow
-    double shadow_variance = 0; // of `weight`, from the shadows' own errors
-    std::vector<double> after;  // by segment: `weight` collected up to its end
+    double weight = 0;           // integral of T * extinction * shadow
+    double shadow_variance = 0;  // of `weight`, from the shadows' own errors
+    std::vector<double> after;   // by segment: `weight` collected up to its end
     std::vector<double> last_shadow;
 };
 
@@ -100,7 +103,8 @@ Scattered scatter(const std::vector<RaySegment>& density) {
         for (const CellStep& step : segment.cells) {
             const double weight = std::exp(-before - inside) * -std::expm1(-(step.integral - inside));
             out.weight += weight * double(step.shadow);
-            // Neighbouring shadows go through the same smoke: their errors add up as they are, not in quadrature.
+            // Neighbouring shadows go through the same smoke: their errors add up as they are, not in
+            // quadrature.
             shadow_sd += weight * double(step.shadow_sd);
             if (last >= 0 && weight > 0) quadrature += std::pow(weight * double(step.shadow - last) / 4, 2);
             if (weight > 0) last = step.shadow;
@@ -141,7 +145,8 @@ Emitted emit(const std::vector<RaySegment>& density, const std::vector<RaySegmen
             while (amount > 0 && t < step.end) {
                 const double next = std::min(profile.nextBreak(t), step.end);
                 const DepthProfile::At to = profile.at(next);
-                out.radiance += amount * (next - t) / (step.end - begin) * std::exp(-depth) * meanTransmittance(to.depth - depth);
+                out.radiance += amount * (next - t) / (step.end - begin) * std::exp(-depth) *
+                                meanTransmittance(to.depth - depth);
                 depth = to.depth;
                 t = next;
                 closeDensitySegments(t);
@@ -181,8 +186,9 @@ Pixel RayComposite::pixel() const {
     return p;
 }
 
-RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view, const std::vector<RaySegment>& density,
-                          const std::vector<RaySegment>* emission, bool with_light) {
+RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view,
+                          const std::vector<RaySegment>& density, const std::vector<RaySegment>* emission,
+                          bool with_light) {
     RayComposite out;
     double variance = 0;
     for (const RaySegment& segment : density) {
@@ -199,9 +205,11 @@ RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view, const 
     out.bound_alpha = std::max(std::exp(-out.optical_low) - out.transmittance,
                                out.transmittance - std::exp(-out.optical_high));
     if (!density.empty()) out.bound_alpha = std::min(1.0, out.bound_alpha + kPixelRounding);
-    // A normal error of the optical depth makes a log-normal one of the transmittance: its standard deviation.
+    // A normal error of the optical depth makes a log-normal one of the transmittance: its standard
+    // deviation.
     const double normal = std::min(variance, 50.0);
-    out.estimate_alpha = std::min(out.transmittance * std::exp(0.5 * normal) * std::sqrt(std::expm1(normal)), out.bound_alpha);
+    out.estimate_alpha =
+        std::min(out.transmittance * std::exp(0.5 * normal) * std::sqrt(std::expm1(normal)), out.bound_alpha);
     out.density_alpha.assign(density.size(), out.transmittance);
     out.density_radiance.assign(density.size(), 0);
     if (!with_light && !emission) return out;
@@ -211,7 +219,8 @@ RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view, const 
     glm::dvec3 per_scatter(0), per_emission(0);
     if (with_light) {
         scattered = scatter(density);
-        per_scatter = plan.scattered() * henyeyGreenstein(plan.scene.anisotropy, glm::dot(plan.scene.light->to_light, view));
+        per_scatter = plan.scattered() *
+                      henyeyGreenstein(plan.scene.anisotropy, glm::dot(plan.scene.light->to_light, view));
     }
     if (emission) {
         emitted = emit(density, *emission);
@@ -220,15 +229,18 @@ RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view, const 
     }
     out.radiance = per_scatter * scattered.weight + per_emission * emitted.radiance;
 
-    // Strict: shadows are known to lie in [0, 1] only, so scattered light lies between none and all of the true alpha.
+    // Strict: shadows are known to lie in [0, 1] only, so scattered light lies between none and all of the
+    // true alpha.
     const double alpha_high = -std::expm1(-out.optical_high);
     const double scatter_bound = with_light ? std::max(scattered.weight, alpha_high - scattered.weight) : 0;
     const double emission_bound = std::max(emitted.high - emitted.radiance, emitted.radiance - emitted.low);
     for (int c = 0; c < 3; ++c)
-        out.bound_radiance = std::max(out.bound_radiance, per_scatter[c] * scatter_bound + per_emission[c] * emission_bound +
-                                                              kPixelRounding * (out.radiance[c] + 1));
+        out.bound_radiance =
+            std::max(out.bound_radiance, per_scatter[c] * scatter_bound + per_emission[c] * emission_bound +
+                                             kPixelRounding * (out.radiance[c] + 1));
 
-    // Expected: first order in each segment's error; more extinction here scatters more here and hides what is behind.
+    // Expected: first order in each segment's error; more extinction here scatters more here and hides what
+    // is behind.
     glm::dvec3 variances = per_scatter * per_scatter * scattered.shadow_variance +
                            per_emission * per_emission * emitted.variance;
     double before = 0;
@@ -236,7 +248,8 @@ RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view, const 
         before += density[i].integral;
         glm::dvec3 effect(0);
         if (with_light)
-            effect += per_scatter * (std::exp(-before) * scattered.last_shadow[i] - (scattered.weight - scattered.after[i]));
+            effect += per_scatter * (std::exp(-before) * scattered.last_shadow[i] -
+                                     (scattered.weight - scattered.after[i]));
         if (emission) effect -= per_emission * (emitted.radiance - emitted.after[i]);
         variances += effect * effect * density[i].variance;
         out.density_radiance[i] = largest(effect);

@@ -20,18 +20,21 @@ struct RayComposite {
     // Optical depth: as integrated, and the interval that holds the true one.
     double optical_depth = 0, optical_low = 0, optical_high = 0;
     // d(pixel) / d(integral) of a segment, largest of alpha (and of the radiances).
-    std::vector<double> density_alpha;     // by density segment: effect on alpha
-    std::vector<double> density_radiance;  // by density segment: effect on the worst radiance
-    std::vector<double> emission_radiance; // by emission segment
+    std::vector<double> density_alpha;      // by density segment: effect on alpha
+    std::vector<double> density_radiance;   // by density segment: effect on the worst radiance
+    std::vector<double> emission_radiance;  // by emission segment
 
     Pixel pixel() const;
 };
 
-// `emission` may be null. `with_light` says that the density's cells carry shadows. `view` is the ray's direction.
-RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view, const std::vector<RaySegment>& density,
-                          const std::vector<RaySegment>* emission, bool with_light);
+// `emission` may be null. `with_light` says that the density's cells carry shadows. `view` is the ray's
+// direction.
+RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view,
+                          const std::vector<RaySegment>& density, const std::vector<RaySegment>* emission,
+                          bool with_light);
 
-// Henyey and Greenstein's phase function, per steradian; `cosine` between the ways light travels before and after.
+// Henyey and Greenstein's phase function, per steradian; `cosine` between the ways light travels before and
+// after.
 double henyeyGreenstein(double g, double cosine);
 
 }  // namespace brickyard

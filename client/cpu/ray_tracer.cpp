@@ -9,7 +9,8 @@ namespace {
 
 // Beyond this optical depth nothing shows: exp(-46) = 1e-20.
 constexpr double kOpaqueDepth = 46;
-// A sixth of the pixels' standard deviation is kept for the shadows, so that levels of the view can use the rest.
+// A sixth of the pixels' standard deviation is kept for the shadows, so that levels of the view can use the
+// rest.
 constexpr double kShadowShare = 0.4;
 // Scattering below this weight is not worth a shadow ray.
 constexpr double kReferenceLeastWeight = 1e-7;
@@ -34,8 +35,7 @@ ShadowTracer::Tolerances shadowTolerances(const RenderPlan& plan) {
 }  // namespace
 
 RayTracer::RayTracer(const RenderPlan& plan)
-    : plan_(plan), estimate_target_(plan.quality.max_error / 3),
-      opaque_depth_(kOpaqueDepth) {
+    : plan_(plan), estimate_target_(plan.quality.max_error / 3), opaque_depth_(kOpaqueDepth) {
     if (plan.scene.light) shadows_.emplace(plan_, shadowTolerances(plan));
 }
 
@@ -61,22 +61,24 @@ bool RayTracer::lightAll(PixelRay& ray, const RayContext& context) const {
 
 bool RayTracer::goodEnough(const RayComposite& composite, bool with_light) const {
     if (plan_.quality.strict) {
-        // Without a light the radiance has a bound that refinement reaches; scattered light has not (docs/error-bounds.md).
+        // Without a light the radiance has a bound that refinement reaches; scattered light has not
+        // (docs/error-bounds.md).
         return composite.bound_alpha <= plan_.quality.max_error &&
                (with_light || composite.bound_radiance <= plan_.quality.max_error);
     }
     return composite.estimate_alpha <= estimate_target_ && composite.estimate_radiance <= estimate_target_;
 }
 
-RayTracer::Progress RayTracer::advance(std::uint32_t x, std::uint32_t y, PixelRay& ray, const RayContext& context,
-                                       RayComposite& out) const {
+RayTracer::Progress RayTracer::advance(std::uint32_t x, std::uint32_t y, PixelRay& ray,
+                                       const RayContext& context, RayComposite& out) const {
     if (!ray.begun) {
         ray.begun = true;
         ray.world = plan_.camera->ray(x, y);
         ray.density = ChannelRay(*plan_.density, ray.world, plan_.scene.density_scale, /*keep_cells=*/true);
         ray.density.begin(plan_.quality.reference);
         if (plan_.emission) {
-            ray.emission.emplace(*plan_.emission, ray.world, plan_.scene.emission->scale, /*keep_cells=*/true);
+            ray.emission.emplace(*plan_.emission, ray.world, plan_.scene.emission->scale,
+                                 /*keep_cells=*/true);
             ray.emission->begin(plan_.quality.reference);
         }
     }
@@ -88,7 +90,8 @@ RayTracer::Progress RayTracer::advance(std::uint32_t x, std::uint32_t y, PixelRa
     for (;;) {
         // Both channels are asked before either answer counts: all that is missing is wanted at once.
         const bool have_density = ray.density.integrate(context, opaque_depth_);
-        const bool have_emission = !ray.emission || ray.emission->integrate(context, std::numeric_limits<double>::infinity());
+        const bool have_emission =
+            !ray.emission || ray.emission->integrate(context, std::numeric_limits<double>::infinity());
         if (!have_density || !have_emission) return progress;
 
         // Levels first, then light: shadows are traced on the cut that the opacity settled for.
@@ -112,9 +115,10 @@ RayTracer::Progress RayTracer::advance(std::uint32_t x, std::uint32_t y, PixelRa
     }
 }
 
-// Splits on what topology tells, without waiting for the bricks between: a ray goes from its coarse look to the cut that
-// its error asks for in one step, and pays for no level on the way.
-RayTracer::Refined RayTracer::refine(PixelRay& ray, const RayComposite& composite, const RayContext& context) const {
+// Splits on what topology tells, without waiting for the bricks between: a ray goes from its coarse look to
+// the cut that its error asks for in one step, and pays for no level on the way.
+RayTracer::Refined RayTracer::refine(PixelRay& ray, const RayComposite& composite,
+                                     const RayContext& context) const {
     const QualitySettings& quality = plan_.quality;
     const bool alpha_matters = quality.strict ? composite.bound_alpha > quality.max_error
                                               : composite.estimate_alpha > estimate_target_;
@@ -132,17 +136,19 @@ RayTracer::Refined RayTracer::refine(PixelRay& ray, const RayComposite& composit
             ray.emission->segments()[i].effect = radiance_matters ? composite.emission_radiance[i] : 0;
 
     auto errorOf = [&](const RaySegment& segment) {
-        return quality.strict ? segment.effect * segment.half_width : segment.effect * segment.effect * segment.variance;
+        return quality.strict ? segment.effect * segment.half_width
+                              : segment.effect * segment.effect * segment.variance;
     };
-    // Ranked by what a split does for all rays: the node's squared error over its volume; 0 where nothing can be gained.
-    // Rays that agree on the order share their bricks; a rank of each ray's own would have the union of all rays'
-    // favourites loaded.
+    // Ranked by what a split does for all rays: the node's squared error over its volume; 0 where nothing can
+    // be gained. Rays that agree on the order share their bricks; a rank of each ray's own would have the
+    // union of all rays' favourites loaded.
     auto rankOf = [&](const ChannelRay& channel, const RaySegment& segment) {
         if (!(errorOf(segment) > 0) || !channel.canSplit(segment)) return 0.0;
         if (quality.pixels_per_voxel > 0) {
             const double middle = 0.5 * (segment.span.begin + segment.span.end);
             // A draft is as fine as its level: it is no reason to go on where the level is fine enough.
-            if (channel.voxelLength(segment) <= quality.pixels_per_voxel * plan_.camera->pixelEdge() * middle) return 0.0;
+            if (channel.voxelLength(segment) <= quality.pixels_per_voxel * plan_.camera->pixelEdge() * middle)
+                return 0.0;
         }
         const NodeRecord& record = segment.node.record();
         const double deviation = quality.strict ? double(segment.draft ? record.draft_bound : record.bound)
@@ -180,14 +186,16 @@ RayTracer::Refined RayTracer::refine(PixelRay& ray, const RayComposite& composit
             continue;
         }
         const double now = errorOf(segment);
-        const double then = quality.strict ? segment.effect * plan.half_width : segment.effect * segment.effect * plan.variance;
+        const double then = quality.strict ? segment.effect * plan.half_width
+                                           : segment.effect * segment.effect * plan.variance;
         any = true;
         sum -= now - then;
         const std::size_t count = plan.children.size();
         channel.split(best, std::move(plan), std::max(now - then, 1e-3 * now));
         list.erase(list.begin() + std::ptrdiff_t(best));
         for (std::size_t k = 0; k < count; ++k)
-            list.insert(list.begin() + std::ptrdiff_t(best + k), rankOf(channel, channel.segments()[best + k]));
+            list.insert(list.begin() + std::ptrdiff_t(best + k),
+                        rankOf(channel, channel.segments()[best + k]));
     }
     return any ? Refined::kSplit : Refined::kDone;
 }
@@ -202,7 +210,8 @@ RayComposite RayTracer::provisional(const PixelRay& ray, const RayContext& conte
         for (RaySegment& segment : lit)
             for (CellStep& step : segment.cells)
                 if (step.shadow < 0) step.shadow = step.shadow_sd = 0.5f;
-    return compositeRay(plan_, ray.world.direction, lit, ray.emission ? &emission : nullptr, plan_.scene.light.has_value());
+    return compositeRay(plan_, ray.world.direction, lit, ray.emission ? &emission : nullptr,
+                        plan_.scene.light.has_value());
 }
 
 }  // namespace brickyard

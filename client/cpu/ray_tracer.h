@@ -1,5 +1,5 @@
-// One pixel from its first cut to its last: rounds of integrate, composite, split. docs/design.md, section "A ray".
-// Immutable; each PixelRay is worked on by one thread at a time.
+// One pixel from its first cut to its last: rounds of integrate, composite, split. docs/design.md, section "A
+// ray". Immutable; each PixelRay is worked on by one thread at a time.
 #pragma once
 
 #include <optional>
@@ -20,10 +20,11 @@ class RayTracer {
 public:
     explicit RayTracer(const RenderPlan& plan);
 
-    // Goes on with a pixel as far as the pages allow. kFinal: `out` is its last value. kDrawn: pages are missing, and
-    // `out` is the pixel of the last cut that was whole. kMissing: there is no such cut yet.
+    // Goes on with a pixel as far as the pages allow. kFinal: `out` is its last value. kDrawn: pages are
+    // missing, and `out` is the pixel of the last cut that was whole. kMissing: there is no such cut yet.
     enum class Progress { kMissing, kDrawn, kFinal };
-    Progress advance(std::uint32_t x, std::uint32_t y, PixelRay& ray, const RayContext& context, RayComposite& out) const;
+    Progress advance(std::uint32_t x, std::uint32_t y, PixelRay& ray, const RayContext& context,
+                     RayComposite& out) const;
     // The pixel as it can be drawn now, with the errors of what stands in for missing pages.
     RayComposite provisional(const PixelRay& ray, const RayContext& context) const;
     // Whether a page that cannot be had has a part in it.

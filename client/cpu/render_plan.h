@@ -9,9 +9,9 @@
 
 namespace brickyard {
 
-// How exact a picture is. Reference: the finest level everywhere, integrated exactly. Otherwise each pixel is refined
-// until its estimate is at most max_error / 3 (with `strict`: its bound at most max_error), or, where pixels_per_voxel is
-// above 0, until its voxels project to no more than that.
+// How exact a picture is. Reference: the finest level everywhere, integrated exactly. Otherwise each pixel is
+// refined until its estimate is at most max_error / 3 (with `strict`: its bound at most max_error), or, where
+// pixels_per_voxel is above 0, until its voxels project to no more than that.
 struct QualitySettings {
     bool reference = false;
     bool strict = false;
@@ -27,7 +27,9 @@ struct RenderPlan {
     QualitySettings quality;
 
     // Largest radiance that one unit of single-scattered weight can carry, before the phase function.
-    glm::dvec3 scattered() const { return scene.light ? scene.albedo * scene.light->irradiance : glm::dvec3(0); }
+    glm::dvec3 scattered() const {
+        return scene.light ? scene.albedo * scene.light->irradiance : glm::dvec3(0);
+    }
 };
 
 }  // namespace brickyard

@@ -1,5 +1,5 @@
-// What the rays of a pass missed: pages and tree blocks with their worth. One list per thread, merged between passes.
-// Not thread-safe.
+// What the rays of a pass missed: pages and tree blocks with their worth. One list per thread, merged between
+// passes. Not thread-safe.
 #pragma once
 
 #include <cstdint>
@@ -16,7 +16,9 @@ struct WantedPage {
 };
 
 struct WantedPageHash {
-    std::size_t operator()(const WantedPage& w) const { return PageAddressHash()(w.address) * 2 + w.is_block; }
+    std::size_t operator()(const WantedPage& w) const {
+        return PageAddressHash()(w.address) * 2 + w.is_block;
+    }
 };
 
 struct Want {

@@ -79,7 +79,9 @@ TEST_F(PageCacheTest, ADraftAndItsBrickAreTwoPages) {
     EXPECT_FALSE(cache.contains({0, 0, 7, false}));
 }
 
-TEST(PageCacheBudgetTest, ABudgetBelowOnePageHoldsNone) { EXPECT_EQ(PageCache(kPageBytes - 1, kFloats).capacity(), 0u); }
+TEST(PageCacheBudgetTest, ABudgetBelowOnePageHoldsNone) {
+    EXPECT_EQ(PageCache(kPageBytes - 1, kFloats).capacity(), 0u);
+}
 
 }  // namespace
 }  // namespace brickyard

@@ -1,5 +1,5 @@
-// Pictures of fields with known answers, through a dataset on disk: exact where asked, bounded always, the same whatever
-// the cache and the threads, and with no page that is not needed.
+// Pictures of fields with known answers, through a dataset on disk: exact where asked, bounded always, the
+// same whatever the cache and the threads, and with no page that is not needed.
 #include "client/renderer.h"
 
 #include <gmock/gmock.h>
@@ -66,7 +66,8 @@ protected:
     static void expectSamePixels(const Picture& a, const Picture& b) {
         ASSERT_EQ(a.pixels.size(), b.pixels.size());
         std::size_t differ = 0;
-        for (std::size_t i = 0; i < a.pixels.size(); ++i) differ += std::memcmp(&a.pixels[i], &b.pixels[i], sizeof(Pixel)) != 0;
+        for (std::size_t i = 0; i < a.pixels.size(); ++i)
+            differ += std::memcmp(&a.pixels[i], &b.pixels[i], sizeof(Pixel)) != 0;
         EXPECT_EQ(differ, 0u) << "of " << a.pixels.size() << " pixels";
     }
 
@@ -77,25 +78,29 @@ protected:
 double bruteDepth(const FormulaField& field, const WorldRay& ray) {
     const IndexBox box = field.info().active_box;
     const IndexRay index(ray, Affine());
-    const glm::dvec3 low(box.begin[0] - 1, box.begin[1] - 1, box.begin[2] - 1), high(box.end[0], box.end[1], box.end[2]);
+    const glm::dvec3 low(box.begin[0] - 1, box.begin[1] - 1, box.begin[2] - 1),
+        high(box.end[0], box.end[1], box.end[2]);
     const RaySpan span = index.clip(low, high, {0, 1e9});
     if (span.empty()) return 0;
     constexpr int kSteps = 4000;
     double sum = 0;
     for (int i = 0; i < kSteps; ++i) {
-        const glm::dvec3 p = ray.origin + ray.direction * (span.begin + (span.end - span.begin) * (i + 0.5) / kSteps);
+        const glm::dvec3 p =
+            ray.origin + ray.direction * (span.begin + (span.end - span.begin) * (i + 0.5) / kSteps);
         const glm::dvec3 f = glm::floor(p), t = p - f;
         double v = 0;
         for (int q = 0; q < 8; ++q)
             v += ((q & 1) ? t.x : 1 - t.x) * ((q & 2) ? t.y : 1 - t.y) * ((q & 4) ? t.z : 1 - t.z) *
-                 field.at(std::int64_t(f.x) + (q & 1), std::int64_t(f.y) + (q >> 1 & 1), std::int64_t(f.z) + (q >> 2));
+                 field.at(std::int64_t(f.x) + (q & 1), std::int64_t(f.y) + (q >> 1 & 1),
+                          std::int64_t(f.z) + (q >> 2));
         sum += std::max(0.0, v);
     }
     return sum * (span.end - span.begin) / kSteps;
 }
 
 TEST_F(RendererTest, AHomogeneousSlabHasTheAlphaOfTheFormula) {
-    const FormulaField slab("density", {{0, 0, 0}, {33, 33, 11}}, [](std::int64_t, std::int64_t, std::int64_t, int) { return 1.0; });
+    const FormulaField slab("density", {{0, 0, 0}, {33, 33, 11}},
+                            [](std::int64_t, std::int64_t, std::int64_t, int) { return 1.0; });
     store({&slab});
     RenderRequest request;
     request.width = request.height = 3;
@@ -105,7 +110,8 @@ TEST_F(RendererTest, AHomogeneousSlabHasTheAlphaOfTheFormula) {
     const Pixel centre = draw(request).picture.pixels[4];
     // 10 whole cells of density 1, and a ramp of one voxel down to 0 on either side.
     EXPECT_NEAR(double(centre.alpha), 1 - std::exp(-0.1 * 11), 1e-6);
-    EXPECT_NEAR(double(centre.depth), 100 - 5.0 - 11.0 / 2 + 11 * -std::log1p(-0.5 * (1 - std::exp(-1.1))) / 1.1, 0.05);
+    EXPECT_NEAR(double(centre.depth),
+                100 - 5.0 - 11.0 / 2 + 11 * -std::log1p(-0.5 * (1 - std::exp(-1.1))) / 1.1, 0.05);
 }
 
 TEST_F(RendererTest, ReferenceEqualsQuadratureOfTheSource) {
@@ -144,8 +150,10 @@ TEST_F(RendererTest, EveryPixelIsWithinItsBoundAndMostWithinThreeEstimates) {
                 EXPECT_LE(double(p.estimate_alpha), double(p.bound_alpha) + 1e-9);
                 beyond_three += error > 3 * double(p.estimate_alpha) + 2e-6;
                 off += error > max_error;
-                if (strict) EXPECT_LE(double(p.bound_alpha), max_error);
-                else EXPECT_LE(double(p.estimate_alpha), max_error / 3 + 1e-9);
+                if (strict)
+                    EXPECT_LE(double(p.bound_alpha), max_error);
+                else
+                    EXPECT_LE(double(p.estimate_alpha), max_error / 3 + 1e-9);
             }
             EXPECT_LE(double(beyond_three), 0.003 * double(truth.pixels.size()) + 1) << max_error;
             EXPECT_LE(double(off), 0.003 * double(truth.pixels.size())) << max_error;
@@ -171,7 +179,8 @@ TEST_F(RendererTest, ThePictureIsTheSameForAnyCacheAndAnyNumberOfThreads) {
     for (const double d : {-1.0, -1.0, 0.3}) light->add_direction(d);
     std::uint64_t reloads = 0;
     for (const bool lit : {false, true})
-        for (const QualitySettings& quality : {QualitySettings{.reference = true}, QualitySettings{.max_error = 0.05}}) {
+        for (const QualitySettings& quality :
+             {QualitySettings{.reference = true}, QualitySettings{.max_error = 0.05}}) {
             RenderRequest request = blobRequest();
             request.width = request.height = 24;
             if (lit) request.scene = scene;
@@ -193,7 +202,9 @@ TEST_F(RendererTest, ThePictureIsTheSameForAnyCacheAndAnyNumberOfThreads) {
 
 TEST_F(RendererTest, OnlyWhatThePictureNeedsIsStreamed) {
     const FormulaField density = roughBlobField();
-    const FormulaField heat("heat", {{-5, -5, -5}, {6, 6, 6}}, [](std::int64_t x, std::int64_t, std::int64_t, int) { return 1.0 + 0.1 * double(x); });
+    const FormulaField heat(
+        "heat", {{-5, -5, -5}, {6, 6, 6}},
+        [](std::int64_t x, std::int64_t, std::int64_t, int) { return 1.0 + 0.1 * double(x); });
     store({&density, &heat});
     RenderRequest request = blobRequest();
     request.quality.reference = true;
@@ -201,7 +212,8 @@ TEST_F(RendererTest, OnlyWhatThePictureNeedsIsStreamed) {
 
     request.scene.mutable_medium()->mutable_emission()->set_channel("heat");
     const RenderOutcome both = draw(request);
-    EXPECT_GT(both.streamed.pages_streamed, alone.streamed.pages_streamed) << "a second channel has pages of its own";
+    EXPECT_GT(both.streamed.pages_streamed, alone.streamed.pages_streamed)
+        << "a second channel has pages of its own";
     request.scene.clear_medium();
 
     request.camera = camera({10, 20, 150}, {20, 40, 300});
@@ -233,7 +245,8 @@ TEST_F(RendererTest, ABudgetOfBytesGivesAPictureThatSaysItIsNotFinal) {
 }
 
 TEST_F(RendererTest, SingleScatteringInAThinSlabFollowsItsFormula) {
-    const FormulaField slab("density", {{0, 0, 0}, {65, 65, 11}}, [](std::int64_t, std::int64_t, std::int64_t, int) { return 1.0; });
+    const FormulaField slab("density", {{0, 0, 0}, {65, 65, 11}},
+                            [](std::int64_t, std::int64_t, std::int64_t, int) { return 1.0; });
     store({&slab});
     RenderRequest request;
     request.width = request.height = 3;
@@ -252,8 +265,10 @@ TEST_F(RendererTest, SingleScatteringInAThinSlabFollowsItsFormula) {
 }
 
 TEST_F(RendererTest, EmissionInVacuumAddsUpAndIsAbsorbedInSmoke) {
-    const FormulaField smoke("density", {{0, 0, 0}, {33, 33, 11}}, [](std::int64_t, std::int64_t, std::int64_t, int) { return 1.0; });
-    const FormulaField glow("flame", {{0, 0, 0}, {33, 33, 11}}, [](std::int64_t, std::int64_t, std::int64_t, int) { return 3.0; });
+    const FormulaField smoke("density", {{0, 0, 0}, {33, 33, 11}},
+                             [](std::int64_t, std::int64_t, std::int64_t, int) { return 1.0; });
+    const FormulaField glow("flame", {{0, 0, 0}, {33, 33, 11}},
+                            [](std::int64_t, std::int64_t, std::int64_t, int) { return 3.0; });
     store({&smoke, &glow});
     RenderRequest request;
     request.width = request.height = 3;

@@ -67,7 +67,8 @@ TEST(SceneTest, TheFramingCameraSeesAllCornersOfTheBox) {
         ASSERT_TRUE(camera);
         for (int corner = 0; corner < 8; ++corner) {
             glm::dvec3 p;
-            for (int a = 0; a < 3; ++a) p[a] = (corner >> a & 1) ? channel.active_max(a) + 1 : channel.active_min(a) - 1;
+            for (int a = 0; a < 3; ++a)
+                p[a] = (corner >> a & 1) ? channel.active_max(a) + 1 : channel.active_min(a) - 1;
             const glm::dvec3 to = p - camera->eye();
             const double z = glm::dot(to, camera->forward());
             ASSERT_GT(z, 0);

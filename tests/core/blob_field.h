@@ -1,5 +1,5 @@
-// Fields with known answers for tests of the octree: sums of smooth and rough blobs, constant boxes, other types. Values
-// come from a formula at each integer position; nothing is stored.
+// Fields with known answers for tests of the octree: sums of smooth and rough blobs, constant boxes, other
+// types. Values come from a formula at each integer position; nothing is stored.
 #pragma once
 
 #include <bit>
@@ -11,12 +11,13 @@
 
 namespace brickyard {
 
-// `value(x, y, z)` inside `box`, background outside; active inside the box where `value` is not the background.
+// `value(x, y, z)` inside `box`, background outside; active inside the box where `value` is not the
+// background.
 class FormulaField final : public FieldSource {
 public:
     using Formula = std::function<double(std::int64_t, std::int64_t, std::int64_t, int component)>;
-    FormulaField(std::string name, IndexBox box, Formula formula, SampleType type = SampleType::kFloat32, int components = 1,
-                 double background = 0)
+    FormulaField(std::string name, IndexBox box, Formula formula, SampleType type = SampleType::kFloat32,
+                 int components = 1, double background = 0)
         : box_(box), formula_(std::move(formula)), background_(background) {
         info_.name = std::move(name);
         info_.type = type;
@@ -24,7 +25,8 @@ public:
         info_.background.assign(std::size_t(components), bits(background));
         background_ = toDouble(type, info_.background[0]);
         info_.active_box = box;
-        info_.active_voxels = std::uint64_t(box.extent(0)) * std::uint64_t(box.extent(1)) * std::uint64_t(box.extent(2));
+        info_.active_voxels =
+            std::uint64_t(box.extent(0)) * std::uint64_t(box.extent(1)) * std::uint64_t(box.extent(2));
     }
     void setTransform(const Affine& transform) { info_.index_to_world = transform; }
 
@@ -42,7 +44,8 @@ public:
         UniformRegion background{info_.background, false};
         const IndexBox inside = intersect(box, box_);
         if (inside.empty()) return background;
-        // Small boxes are looked at sample by sample, so that flat parts of a formula become regions of one value.
+        // Small boxes are looked at sample by sample, so that flat parts of a formula become regions of one
+        // value.
         if (box.extent(0) > 130) return std::nullopt;
         UniformRegion first;
         bool have = false;
@@ -52,7 +55,8 @@ public:
                     UniformRegion here;
                     for (int c = 0; c < info_.components; ++c) here.value.push_back(bits(at(x, y, z, c)));
                     here.active = box_.contains({x, y, z});
-                    if (have && (here.value != first.value || here.active != first.active)) return std::nullopt;
+                    if (have && (here.value != first.value || here.active != first.active))
+                        return std::nullopt;
                     first = here;
                     have = true;
                 }
@@ -85,7 +89,8 @@ private:
 // Smooth on a large scale, rough on a small one, never negative.
 inline double roughBlob(double x, double y, double z) {
     const double r2 = (x * x + y * y + z * z) / 900;
-    return std::max(0.0, std::exp(-r2) * (1 + 0.4 * std::sin(1.3 * x + 0.7 * y) * std::sin(0.9 * z - 0.5 * x)) - 0.05);
+    return std::max(
+        0.0, std::exp(-r2) * (1 + 0.4 * std::sin(1.3 * x + 0.7 * y) * std::sin(0.9 * z - 0.5 * x)) - 0.05);
 }
 
 inline FormulaField roughBlobField(IndexBox box = {{-30, -25, -20}, {31, 26, 37}}) {

@@ -33,12 +33,14 @@ void forSamples(const NodeKey& node, const NodeKey& part, Visit&& visit) {
     const int edge = 8 << part.level;
     const double step = std::ldexp(1.0, -node.level);
     const int down = node.level - part.level;
-    const double begin[3] = {(part.x - (node.x << down)) * double(edge) * step, (part.y - (node.y << down)) * double(edge) * step,
+    const double begin[3] = {(part.x - (node.x << down)) * double(edge) * step,
+                             (part.y - (node.y << down)) * double(edge) * step,
                              (part.z - (node.z << down)) * double(edge) * step};
     for (int k = 0; k <= edge; ++k)
         for (int j = 0; j <= edge; ++j)
             for (int i = 0; i <= edge; ++i)
-                visit(begin[0] + i * step, begin[1] + j * step, begin[2] + k * step, i, j, k, i < edge && j < edge && k < edge);
+                visit(begin[0] + i * step, begin[1] + j * step, begin[2] + k * step, i, j, k,
+                      i < edge && j < edge && k < edge);
 }
 
 struct Direct {
@@ -53,7 +55,9 @@ TEST(DeviationTest, AUniformRegionEqualsTheSumOverItsSamples) {
         for (int trial = 0; trial < 4; ++trial) {
             const std::vector<double> samples = randomSamples(random);
             const int side = 1 << (node.level - level);
-            auto inside = [&](int at) { return at * side + std::uniform_int_distribution(0, side - 1)(random); };
+            auto inside = [&](int at) {
+                return at * side + std::uniform_int_distribution(0, side - 1)(random);
+            };
             const NodeKey part{level, inside(node.x), inside(node.y), inside(node.z)};
             Direct direct;
             forSamples(node, part, [&](double x, double y, double z, int, int, int, bool owned) {
@@ -67,7 +71,8 @@ TEST(DeviationTest, AUniformRegionEqualsTheSumOverItsSamples) {
             whole.merge(measured);
             const double volume = std::pow(8.0 * 8, 3);
             EXPECT_NEAR(whole.largest(), direct.largest, 1e-12) << toString(part);
-            EXPECT_NEAR(whole.rms(node, kShape, 1), std::sqrt(direct.squares / volume), 1e-12) << toString(part);
+            EXPECT_NEAR(whole.rms(node, kShape, 1), std::sqrt(direct.squares / volume), 1e-12)
+                << toString(part);
         }
 }
 
@@ -78,7 +83,9 @@ TEST(DeviationTest, ABrickEqualsTheSumOverItsSamples) {
             const NodeKey node{level, 0, -1, 1};
             const std::vector<double> samples = randomSamples(random), source = randomSamples(random);
             const int side = 1 << level;
-            auto inside = [&](int at) { return at * side + std::uniform_int_distribution(0, side - 1)(random); };
+            auto inside = [&](int at) {
+                return at * side + std::uniform_int_distribution(0, side - 1)(random);
+            };
             const NodeKey part{0, inside(node.x), inside(node.y), inside(node.z)};
             Direct direct;
             forSamples(node, part, [&](double x, double y, double z, int i, int j, int k, bool owned) {
@@ -91,7 +98,8 @@ TEST(DeviationTest, ABrickEqualsTheSumOverItsSamples) {
             NodeDeviation whole;
             whole.merge(measured);
             EXPECT_NEAR(whole.largest(), direct.largest, 1e-12) << toString(part);
-            EXPECT_NEAR(whole.rms(node, kShape, 1), std::sqrt(direct.squares / std::pow(std::ldexp(8.0, level), 3)), 1e-12)
+            EXPECT_NEAR(whole.rms(node, kShape, 1),
+                        std::sqrt(direct.squares / std::pow(std::ldexp(8.0, level), 3)), 1e-12)
                 << toString(part);
         }
 }

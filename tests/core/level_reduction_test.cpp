@@ -18,7 +18,8 @@ std::vector<double> fineFrom(double (*value)(double, double, double)) {
 }
 
 TEST(LevelReductionTest, ALinearFieldIsKeptExactlyAndLosesNothing) {
-    const std::vector<double> fine = fineFrom([](double x, double y, double z) { return 1 + 2 * x - 3 * y + 0.5 * z; });
+    const std::vector<double> fine =
+        fineFrom([](double x, double y, double z) { return 1 + 2 * x - 3 * y + 0.5 * z; });
     const std::vector<double> coarse = reduceLevel(fine, kEdge);
     for (int k = 0; k < kCoarse; ++k)
         for (int j = 0; j < kCoarse; ++j)
@@ -27,7 +28,8 @@ TEST(LevelReductionTest, ALinearFieldIsKeptExactlyAndLosesNothing) {
     EXPECT_NEAR(reductionRms(fine, coarse, kEdge, 1), 0, 1e-12);
 }
 
-// Full weighting spreads a sample over the coarse lattice without losing any of it: 8 fine cells make a coarse one.
+// Full weighting spreads a sample over the coarse lattice without losing any of it: 8 fine cells make a
+// coarse one.
 TEST(LevelReductionTest, TheIntegralOfAnInnerSampleIsKept) {
     for (int shift = 0; shift < 8; ++shift) {
         std::vector<double> fine(std::size_t(kFine * kFine * kFine));
@@ -54,7 +56,8 @@ TEST(LevelReductionTest, NeighboursAgreeOnTheirSharedFace) {
     const std::vector<double> a = reduceLevel(left, kEdge), b = reduceLevel(right, kEdge);
     for (int k = 0; k < kCoarse; ++k)
         for (int j = 0; j < kCoarse; ++j)
-            EXPECT_EQ(a[std::size_t((k * kCoarse + j) * kCoarse + kEdge)], b[std::size_t((k * kCoarse + j) * kCoarse)]);
+            EXPECT_EQ(a[std::size_t((k * kCoarse + j) * kCoarse + kEdge)],
+                      b[std::size_t((k * kCoarse + j) * kCoarse)]);
 }
 
 }  // namespace

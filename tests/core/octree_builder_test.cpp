@@ -28,7 +28,9 @@ void forPositions(const StoredNode& node, BrickShape shape, int count, std::mt19
         for (std::size_t a = 0; a < 3; ++a) {
             const double extent = double(box.extent(int(a)) - 1);
             const int kind = std::uniform_int_distribution(0, 4)(random);
-            p[a] = double(box.begin[a]) + (kind == 0 ? 0 : kind == 1 ? extent : std::uniform_real_distribution(0.0, extent)(random));
+            p[a] = double(box.begin[a]) + (kind == 0   ? 0
+                                           : kind == 1 ? extent
+                                                       : std::uniform_real_distribution(0.0, extent)(random));
             if (kind == 2) p[a] = std::floor(p[a]);
         }
         visit(p[0], p[1], p[2]);
@@ -39,9 +41,11 @@ double trilinear(const FormulaField& field, double x, double y, double z, int co
     const double f[3] = {std::floor(x), std::floor(y), std::floor(z)}, t[3] = {x - f[0], y - f[1], z - f[2]};
     double sum = 0;
     for (int q = 0; q < 8; ++q) {
-        const double w = ((q & 1) ? t[0] : 1 - t[0]) * ((q & 2) ? t[1] : 1 - t[1]) * ((q & 4) ? t[2] : 1 - t[2]);
+        const double w =
+            ((q & 1) ? t[0] : 1 - t[0]) * ((q & 2) ? t[1] : 1 - t[1]) * ((q & 4) ? t[2] : 1 - t[2]);
         if (w != 0)
-            sum += w * field.at(std::int64_t(f[0]) + (q & 1), std::int64_t(f[1]) + (q >> 1 & 1), std::int64_t(f[2]) + (q >> 2), component);
+            sum += w * field.at(std::int64_t(f[0]) + (q & 1), std::int64_t(f[1]) + (q >> 1 & 1),
+                                std::int64_t(f[2]) + (q >> 2), component);
     }
     return sum;
 }
@@ -68,11 +72,12 @@ TEST(OctreeBuilderTest, NoNodeStraysBeyondItsBoundAnywhere) {
     std::mt19937 random(1);
     for (const int edge : {8, 16})
         for (const double background : {0.0, 0.37}) {
-            FormulaField field("density", {{-30, -25, -20}, {31, 26, 37}},
-                               [](std::int64_t x, std::int64_t y, std::int64_t z, int) {
-                                   return roughBlob(double(x), double(y), double(z)) - 0.1;
-                               },
-                               SampleType::kFloat32, 1, background);
+            FormulaField field(
+                "density", {{-30, -25, -20}, {31, 26, 37}},
+                [](std::int64_t x, std::int64_t y, std::int64_t z, int) {
+                    return roughBlob(double(x), double(y), double(z)) - 0.1;
+                },
+                SampleType::kFloat32, 1, background);
             const StoredFrame frame(field, optionsFor(edge));
             for (const StoredNode& node : frame.nodes())
                 forPositions(node, frame.shape(), 300, random, [&](double x, double y, double z) {
@@ -97,12 +102,15 @@ TEST(OctreeBuilderTest, RmsAndGridsEqualADirectComputation) {
         for (std::int64_t z = 0; z <= edge; ++z)
             for (std::int64_t y = 0; y <= edge; ++y)
                 for (std::int64_t x = 0; x <= edge; ++x) {
-                    const std::int64_t px = node.key.x * edge + x, py = node.key.y * edge + y, pz = node.key.z * edge + z;
-                    const double d = frame.field(node, double(px), double(py), double(pz)) - field.at(px, py, pz);
+                    const std::int64_t px = node.key.x * edge + x, py = node.key.y * edge + y,
+                                       pz = node.key.z * edge + z;
+                    const double d =
+                        frame.field(node, double(px), double(py), double(pz)) - field.at(px, py, pz);
                     largest = std::max(largest, std::abs(d));
                     if (x == edge || y == edge || z == edge) continue;
                     squares += d * d;
-                    const std::size_t box = std::size_t(x / part + kErrorGridEdge * (y / part + kErrorGridEdge * (z / part)));
+                    const std::size_t box =
+                        std::size_t(x / part + kErrorGridEdge * (y / part + kErrorGridEdge * (z / part)));
                     box_squares[box] += d * d;
                     box_largest[box] = std::max(box_largest[box], std::abs(d));
                 }
@@ -116,7 +124,8 @@ TEST(OctreeBuilderTest, RmsAndGridsEqualADirectComputation) {
             const double stored_bound = double(errorFromCode(node.grid->bound[b], node.record.bound));
             // Rounded up by no more than an eighth of an octave.
             EXPECT_GE(stored_rms * (1 + 1e-6), box_rms) << toString(node.key) << " box " << b;
-            EXPECT_LE(stored_rms, box_rms * 1.0906 + 1e-9 * double(node.record.bound)) << toString(node.key) << " box " << b;
+            EXPECT_LE(stored_rms, box_rms * 1.0906 + 1e-9 * double(node.record.bound))
+                << toString(node.key) << " box " << b;
             EXPECT_GE(stored_bound * (1 + 1e-6), box_largest[b]) << toString(node.key) << " box " << b;
         }
     }
@@ -134,7 +143,8 @@ TEST(OctreeBuilderTest, RangesAndBoxesHoldWhatIsBelowThem) {
                 EXPECT_GE(value, double(node.record.value_min) - 1e-7);
                 EXPECT_LE(value, double(node.record.value_max) + 1e-7);
             }
-            const double p[3] = {x / edge - node.key.x * 8.0, y / edge - node.key.y * 8.0, z / edge - node.key.z * 8.0};
+            const double p[3] = {x / edge - node.key.x * 8.0, y / edge - node.key.y * 8.0,
+                                 z / edge - node.key.z * 8.0};
             bool inside = true;
             for (std::size_t a = 0; a < 3; ++a)
                 inside &= p[a] >= node.record.box_begin[a] && p[a] <= node.record.box_end[a];
@@ -156,7 +166,8 @@ TEST(OctreeBuilderTest, AnErrorIsKeptAndReportedAsItIs) {
             for (std::int64_t z = box.begin[2]; z < box.end[2]; ++z)
                 for (std::int64_t y = box.begin[1]; y < box.end[1]; ++y)
                     for (std::int64_t x = box.begin[0]; x < box.end[0]; ++x)
-                        worst = std::max(worst, std::abs(frame.field(node, double(x), double(y), double(z)) - field.at(x, y, z)));
+                        worst = std::max(worst, std::abs(frame.field(node, double(x), double(y), double(z)) -
+                                                         field.at(x, y, z)));
         }
         EXPECT_LE(worst, error);
         EXPECT_NEAR(worst, frame.footer().channels(0).error_made(), 1e-9 + 1e-6 * worst);
@@ -165,15 +176,19 @@ TEST(OctreeBuilderTest, AnErrorIsKeptAndReportedAsItIs) {
 
 TEST(OctreeBuilderTest, SmoothRegionsEndAtACoarseLeafWhereTheErrorAllowsIt) {
     // A gentle ramp: level 1 says it as well as level 0, but for the edges of its box.
-    const FormulaField ramp("density", {{0, 0, 0}, {64, 64, 64}},
-                            [](std::int64_t x, std::int64_t y, std::int64_t, int) { return 1 + 0.001 * double(x + y); });
+    const FormulaField ramp(
+        "density", {{0, 0, 0}, {64, 64, 64}},
+        [](std::int64_t x, std::int64_t y, std::int64_t, int) { return 1 + 0.001 * double(x + y); });
     const StoredFrame exact(ramp, optionsFor(8)), loose(ramp, optionsFor(8, 0.01));
     EXPECT_LT(loose.nodes().size(), exact.nodes().size());
-    EXPECT_THAT(loose.nodes(), testing::Contains(testing::Truly([](const StoredNode& n) { return n.leaf && n.key.level > 0 && n.record.hasBrick(); })));
+    EXPECT_THAT(loose.nodes(), testing::Contains(testing::Truly([](const StoredNode& n) {
+                    return n.leaf && n.key.level > 0 && n.record.hasBrick();
+                })));
 }
 
 TEST(OctreeBuilderTest, ARegionOfOneValueIsALeafWithoutABrick) {
-    const FormulaField box("density", {{0, 0, 0}, {129, 129, 129}}, [](std::int64_t, std::int64_t, std::int64_t, int) { return 2.5; });
+    const FormulaField box("density", {{0, 0, 0}, {129, 129, 129}},
+                           [](std::int64_t, std::int64_t, std::int64_t, int) { return 2.5; });
     const StoredFrame frame(box, optionsFor(8));
     bool coarse = false;
     for (const StoredNode& node : frame.nodes())
@@ -187,20 +202,23 @@ TEST(OctreeBuilderTest, ARegionOfOneValueIsALeafWithoutABrick) {
 }
 
 TEST(OctreeBuilderTest, EveryTypeComesBackExactly) {
-    for (const SampleType type : {SampleType::kFloat64, SampleType::kInt32, SampleType::kInt64, SampleType::kBool})
+    for (const SampleType type :
+         {SampleType::kFloat64, SampleType::kInt32, SampleType::kInt64, SampleType::kBool})
         for (const int components : {1, 3}) {
-            const FormulaField field("any", {{-3, -5, -7}, {12, 9, 5}},
-                                     [&](std::int64_t x, std::int64_t y, std::int64_t z, int c) {
-                                         const double v = double((x * 7 + y * 13 + z * 29 + c * 5) % 23);
-                                         return type == SampleType::kBool ? double(std::int64_t(std::abs(v)) & 1) : v * 1001.5;
-                                     },
-                                     type, components);
+            const FormulaField field(
+                "any", {{-3, -5, -7}, {12, 9, 5}},
+                [&](std::int64_t x, std::int64_t y, std::int64_t z, int c) {
+                    const double v = double((x * 7 + y * 13 + z * 29 + c * 5) % 23);
+                    return type == SampleType::kBool ? double(std::int64_t(std::abs(v)) & 1) : v * 1001.5;
+                },
+                type, components);
             const StoredFrame frame(field, optionsFor(8));
             for (const StoredNode& node : frame.nodes()) {
                 if (node.key.level != 0) continue;
                 for (int c = 0; c < components; ++c)
                     for (int i = 0; i <= 8; ++i)
-                        ASSERT_EQ(node.samples[std::size_t(c) * frame.shape().samples() + frame.shape().sampleAt(i, i, 8 - i)],
+                        ASSERT_EQ(node.samples[std::size_t(c) * frame.shape().samples() +
+                                               frame.shape().sampleAt(i, i, 8 - i)],
                                   field.at(node.key.x * 8 + i, node.key.y * 8 + i, node.key.z * 8 + 8 - i, c))
                             << toString(type) << " component " << c;
             }
@@ -211,7 +229,8 @@ TEST(OctreeBuilderTest, VoxelsAtBothEndsOfInt32HaveABrickEach) {
     constexpr std::int64_t kLow = INT32_MIN, kHigh = INT32_MAX;
     // Two fields, each one voxel: a formula over all of int32 could not be asked sample by sample.
     for (const std::int64_t at : {kLow, kHigh}) {
-        const FormulaField voxel("density", {{at, at, at}, {at + 1, at + 1, at + 1}}, [](std::int64_t, std::int64_t, std::int64_t, int) { return 1.0; });
+        const FormulaField voxel("density", {{at, at, at}, {at + 1, at + 1, at + 1}},
+                                 [](std::int64_t, std::int64_t, std::int64_t, int) { return 1.0; });
         const StoredFrame frame(voxel, optionsFor(16));
         double most = 0;
         for (const StoredNode& node : frame.nodes())
@@ -232,7 +251,9 @@ TEST(OctreeBuilderTest, TheFileIsTheSameForAnyNumberOfThreads) {
             std::atomic<std::size_t> next{0};
             std::vector<std::jthread> pool;
             for (unsigned t = 0; t < threads; ++t)
-                pool.emplace_back([&] { for (std::size_t i = next++; i < n; i = next++) body(i); });
+                pool.emplace_back([&] {
+                    for (std::size_t i = next++; i < n; i = next++) body(i);
+                });
         };
         auto writer = FrameWriter::create(folder / "f.brk");
         auto footer = buildFrame(fields, std::span(&options, 1), **writer);
@@ -244,9 +265,10 @@ TEST(OctreeBuilderTest, TheFileIsTheSameForAnyNumberOfThreads) {
 }
 
 TEST(OctreeBuilderTest, NonFiniteValuesAreNamedOrReplaced) {
-    const FormulaField field("density", {{0, 0, 0}, {20, 20, 20}}, [](std::int64_t x, std::int64_t y, std::int64_t z, int) {
-        return x == 3 && y == 4 && z == 5 ? std::nan("") : x == 6 ? -INFINITY : 1.0 + double(y);
-    });
+    const FormulaField field(
+        "density", {{0, 0, 0}, {20, 20, 20}}, [](std::int64_t x, std::int64_t y, std::int64_t z, int) {
+            return x == 3 && y == 4 && z == 5 ? std::nan("") : x == 6 ? -INFINITY : 1.0 + double(y);
+        });
     const FieldSource* const fields[] = {&field};
     ScratchFolder folder;
     BuildOptions options = optionsFor(8);
@@ -262,7 +284,8 @@ TEST(OctreeBuilderTest, NonFiniteValuesAreNamedOrReplaced) {
     const StoredFrame clamped(field, options);
     const NodeKey key{0, 0, 0, 0};
     EXPECT_EQ(zero.find(key)->samples[zero.shape().sampleAt(6, 1, 1)], 0);
-    EXPECT_EQ(clamped.find(key)->samples[zero.shape().sampleAt(6, 1, 1)], -double(std::numeric_limits<float>::max()));
+    EXPECT_EQ(clamped.find(key)->samples[zero.shape().sampleAt(6, 1, 1)],
+              -double(std::numeric_limits<float>::max()));
     EXPECT_EQ(clamped.find(key)->samples[zero.shape().sampleAt(3, 4, 5)], 0);
 }
 

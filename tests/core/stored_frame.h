@@ -41,7 +41,8 @@ public:
         shape_.edge_cells = int(store_->footer().brick_edge());
         for (int c = 0; c < store_->footer().channels_size(); ++c) load(std::uint32_t(c));
     }
-    StoredFrame(const FieldSource& field, const BuildOptions& options) : StoredFrame(std::array{&field}, std::array{options}) {}
+    StoredFrame(const FieldSource& field, const BuildOptions& options)
+        : StoredFrame(std::array{&field}, std::array{options}) {}
 
     const FrameFooter& footer() const { return store_->footer(); }
     const std::vector<StoredNode>& nodes(std::size_t channel = 0) const { return nodes_[channel]; }
@@ -54,7 +55,8 @@ public:
     // The node's own field at a position of index space inside its closed region.
     double field(const StoredNode& node, double x, double y, double z, int component = 0) const {
         const double edge = std::ldexp(1.0, node.key.level);
-        const double p[3] = {x / edge - double(node.key.x) * shape_.edge_cells, y / edge - double(node.key.y) * shape_.edge_cells,
+        const double p[3] = {x / edge - double(node.key.x) * shape_.edge_cells,
+                             y / edge - double(node.key.y) * shape_.edge_cells,
                              z / edge - double(node.key.z) * shape_.edge_cells};
         int cell[3];
         double t[3];
@@ -64,10 +66,12 @@ public:
         }
         double sum = 0;
         for (int q = 0; q < 8; ++q) {
-            const double w = ((q & 1) ? t[0] : 1 - t[0]) * ((q & 2) ? t[1] : 1 - t[1]) * ((q & 4) ? t[2] : 1 - t[2]);
+            const double w =
+                ((q & 1) ? t[0] : 1 - t[0]) * ((q & 2) ? t[1] : 1 - t[1]) * ((q & 4) ? t[2] : 1 - t[2]);
             if (w != 0)
                 sum += w * node.samples[std::size_t(component) * shape_.samples() +
-                                        shape_.sampleAt(cell[0] + (q & 1), cell[1] + (q >> 1 & 1), cell[2] + (q >> 2))];
+                                        shape_.sampleAt(cell[0] + (q & 1), cell[1] + (q >> 1 & 1),
+                                                        cell[2] + (q >> 2))];
         }
         return sum;
     }
@@ -85,10 +89,12 @@ private:
         const std::size_t first = blocks_.size() - std::size_t(footer.blocks_size());
         for (int r = 0; r < footer.roots_size(); ++r) {
             const RootNode& root = footer.roots(r);
-            visit(channel, first, 0, std::uint32_t(r), {std::int32_t(root.level()), root.x(), root.y(), root.z()});
+            visit(channel, first, 0, std::uint32_t(r),
+                  {std::int32_t(root.level()), root.x(), root.y(), root.z()});
         }
     }
-    void visit(std::uint32_t channel, std::size_t first, std::uint32_t block, std::uint32_t node, const NodeKey& key) {
+    void visit(std::uint32_t channel, std::size_t first, std::uint32_t block, std::uint32_t node,
+               const NodeKey& key) {
         const TreeBlock& tree = *blocks_[first + block];
         const ChannelFooter& footer = store_->footer().channels(int(channel));
         const SampleType type = SampleType(int(footer.sample_type()));
@@ -116,7 +122,8 @@ private:
         if (tree.isLeaf(node)) return;
         ChildrenRef child = tree.children(node);
         for (int octant = 0; octant < 8; ++octant)
-            if (tree.validMask(node) >> octant & 1) visit(channel, first, child.block, child.first++, key.child(octant));
+            if (tree.validMask(node) >> octant & 1)
+                visit(channel, first, child.block, child.first++, key.child(octant));
     }
 
     ScratchFolder folder_;
