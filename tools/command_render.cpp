@@ -136,7 +136,8 @@ nlohmann::json toJson(const RenderOutcome& outcome) {
     };
 }
 
-Result<RenderOutcome> renderTo(const RenderOptions& options) {
+// Everything that the options say by themselves. An error is wrong usage.
+Result<RenderRequest> requestOf(const RenderOptions& options) {
     RenderRequest request;
     if (Result<void> size = parsePictureSize(options.size, request.width, request.height); !size)
         return tl::unexpected(size.error());
@@ -152,7 +153,8 @@ Result<RenderOutcome> renderTo(const RenderOptions& options) {
         request.max_stream_bytes = *bytes;
     }
     if (options.deadline) {
-        if (!(*options.deadline > 0)) return fail(ErrorCode::kInvalid, "--deadline: give seconds above 0");
+        if (!(*options.deadline > 0 && *options.deadline < 1e9))
+            return fail(ErrorCode::kInvalid, "--deadline: give seconds above 0");
         request.deadline = std::chrono::duration<double>(*options.deadline);
     }
     if (options.density_scale) {
@@ -165,12 +167,15 @@ Result<RenderOutcome> renderTo(const RenderOptions& options) {
             ErrorCode::kUnsupported,
             fmt::format("--device {}: this build renders on the CPU; use --device cpu", options.device));
     request.threads = options.threads;
-
-    // What is written where is checked before anything is drawn.
     const std::filesystem::path output(options.output);
-    const bool exr = output.extension() == ".exr", png = output.extension() == ".png";
-    if (!exr && !png)
+    if (output.extension() != ".exr" && output.extension() != ".png")
         return fail(ErrorCode::kInvalid, fmt::format("-o {}: name a .png or an .exr file", options.output));
+    return request;
+}
+
+Result<RenderOutcome> renderTo(const RenderOptions& options, RenderRequest request) {
+    // Where the picture goes is checked before anything is drawn.
+    const std::filesystem::path output(options.output);
     std::error_code ignored;
     if (output.has_parent_path() && !std::filesystem::is_directory(output.parent_path(), ignored))
         return fail(ErrorCode::kNotFound,
@@ -202,14 +207,20 @@ Result<RenderOutcome> renderTo(const RenderOptions& options) {
     Result<RenderOutcome> outcome = makeCpuRenderer()->render(**source, request);
     line.clear();
     if (!outcome) return outcome;
-    const Result<void> written =
-        exr ? writeExr(outcome->picture, output) : writePng(outcome->picture, outcome->background, output);
+    const Result<void> written = output.extension() == ".exr"
+                                     ? writeExr(outcome->picture, output)
+                                     : writePng(outcome->picture, outcome->background, output);
     if (!written) return tl::unexpected(written.error());
     return outcome;
 }
 
 int runRender(const RenderOptions& options) {
-    const Result<RenderOutcome> outcome = renderTo(options);
+    Result<RenderRequest> request = requestOf(options);
+    if (!request) {
+        reportError("render", request.error());
+        return kExitUsage;
+    }
+    const Result<RenderOutcome> outcome = renderTo(options, std::move(*request));
     if (!outcome) return reportError("render", outcome.error());
     const nlohmann::json json = toJson(*outcome);
     if (options.json) {
