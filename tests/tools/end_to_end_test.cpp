@@ -97,7 +97,8 @@ TEST_F(EndToEndTest, AServerAndAFolderGiveTheSamePixels) {
 TEST_F(EndToEndTest, OnlyTheChannelsOfTheSceneAreStreamed) {
     std::uint64_t density_bytes = 0;
     ASSERT_EQ(run("info '" + dataset() + "' --json"), 0);
-    for (const nlohmann::json& frame : nlohmann::json::parse(out_)["frames"])
+    const nlohmann::json info = nlohmann::json::parse(out_);
+    for (const nlohmann::json& frame : info["frames"])
         if (frame["frame"] == 30)
             for (const nlohmann::json& channel : frame["channels"])
                 if (channel["name"] == "density") density_bytes = channel["payload_bytes"];
@@ -120,7 +121,7 @@ TEST_F(EndToEndTest, ACameraThatLooksAwayStreamsNoBrick) {
 TEST_F(EndToEndTest, AFarCameraStreamsCoarseLevelsOnly) {
     const nlohmann::json json = render(
         url_, "a.exr",
-        R"(--size 64x64 --camera '{"eye":[1.2,-500,2],"target":[1.2,1.2,1.6],"up":[0,0,1],"vertical_fov_degrees":40}')");
+        R"(--size 64x64 --camera '{"eye":[1.2,-60,2],"target":[1.2,1.2,1.6],"up":[0,0,1],"vertical_fov_degrees":40}')");
     EXPECT_GT(json["mean_alpha"].get<double>(), 0);
     EXPECT_EQ(json["pages_streamed"], 1) << "the root says all that a pixel can show";
 }
