@@ -26,6 +26,8 @@ struct RenderRequest {
     std::uint64_t max_stream_bytes = UINT64_MAX;
     std::optional<std::chrono::duration<double>> deadline;
     unsigned threads = 0;  // 0: one per processor
+    // A final picture is traced this many times more with all of its pages resident, for the time that takes.
+    unsigned repeats = 0;
     // Told after each pass: pixels final, of how many, and bytes streamed. May be empty.
     std::function<void(std::uint64_t done, std::uint64_t pixels, std::uint64_t bytes)> progress;
 };
@@ -45,7 +47,9 @@ struct RenderOutcome {
     bool final = false;
     NotFinal not_final;
     std::string first_failure;
-    double seconds_total = 0, seconds_first_image = 0, seconds_render = 0;
+    double seconds_total = 0, seconds_first_image = 0;
+    // Rays only: of all passes, or with RenderRequest::repeats the median of those (all pages resident).
+    double seconds_render = 0;
     SourceCounters streamed;
     std::uint64_t cache_bytes = 0;  // most that the page cache held
     std::uint64_t tree_bytes = 0;   // octree topology in memory

@@ -29,7 +29,7 @@ struct RenderOptions {
     std::string device = "cpu";
     std::optional<std::uint32_t> frame;
     std::optional<double> density_scale, max_error, deadline;
-    unsigned threads = 0;
+    unsigned threads = 0, repeats = 0;
     bool strict = false, json = false;
 };
 
@@ -167,6 +167,7 @@ Result<RenderRequest> requestOf(const RenderOptions& options) {
             ErrorCode::kUnsupported,
             fmt::format("--device {}: this build renders on the CPU; use --device cpu", options.device));
     request.threads = options.threads;
+    request.repeats = options.repeats;
     const std::filesystem::path output(options.output);
     if (output.extension() != ".exr" && output.extension() != ".png")
         return fail(ErrorCode::kInvalid, fmt::format("-o {}: name a .png or an .exr file", options.output));
@@ -277,6 +278,9 @@ void addRenderCommand(CLI::App& app, int& status) {
         ->check(CLI::IsMember({"cpu", "gpu"}))
         ->capture_default_str();
     command->add_option("--threads", options->threads, "Ray threads; one per processor");
+    command->add_option(
+        "--repeat", options->repeats,
+        "Trace a final picture N times more, all pages resident; seconds_render is their median");
     command->add_option("--token-file", options->token_file, "First line is the server's token");
     command->add_flag("--json", options->json, "One JSON object on stdout and nothing else");
     command->callback([options, &status] { status = runRender(*options); });

@@ -1,9 +1,9 @@
 #include "client/cpu/channel_ray.h"
 
 #include <algorithm>
-#include <array>
 
 #include "client/cpu/cell_walk.h"
+#include "client/cpu/node_error.h"
 
 namespace brickyard {
 
@@ -11,27 +11,6 @@ namespace {
 
 // Relative rounding of one segment's integral: float samples are exact, so only the double arithmetic counts.
 constexpr double kRounding = 1e-12;
-
-// The effective deviation is rms^0.6 * bound^0.4: deviations have heavy tails, and a ray that grazes the busy
-// corner of a sub-box sees more than its mean. Measured in docs/decisions/0002-error-estimate.md.
-constexpr double kTailShare = 0.4;
-
-double effectiveSquare(double rms, double bound) {
-    return rms > 0 ? std::pow(rms, 2 * (1 - kTailShare)) * std::pow(bound, 2 * kTailShare) : 0;
-}
-
-// The same from the codes of an error grid, for a scale of 1: each code is a power of two.
-struct CodeSquares {
-    std::array<double, 256> rms{}, bound{};
-    CodeSquares() {
-        for (int code = 1; code < 256; ++code) {
-            const double octaves = (code - 255) / 8.0;
-            rms[std::size_t(code)] = std::exp2(2 * (1 - kTailShare) * octaves);
-            bound[std::size_t(code)] = std::exp2(2 * kTailShare * octaves);
-        }
-    }
-};
-const CodeSquares kCodeSquares;
 
 }  // namespace
 
@@ -130,8 +109,7 @@ void ChannelRay::errorsOf(const NodeRecord& record, const ErrorGrid* grid, const
         const std::size_t at = std::size_t(box[0] + kErrorGridEdge * (box[1] + kErrorGridEdge * box[2]));
         if (t_exit > t) {
             half_width += double(errorFromCode(grid->bound[at], record.bound)) * scale_ * (t_exit - t);
-            variance += unit_square * kCodeSquares.rms[grid->rms[at]] * kCodeSquares.bound[grid->bound[at]] *
-                        (t_exit - t);
+            variance += unit_square * effectiveSquareOfCodes(grid->rms[at], grid->bound[at]) * (t_exit - t);
             t = t_exit;
         }
         if (t_next[a] >= span.end) break;

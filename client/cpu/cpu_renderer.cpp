@@ -8,6 +8,7 @@
 #include <thread>
 #include <unordered_set>
 
+#include "client/cpu/beam_tile.h"
 #include "client/cpu/ray_tracer.h"
 #include "client/renderer.h"
 #include "core/brick_codec.h"
@@ -33,11 +34,14 @@ double secondsSince(Clock::time_point begin) {
 }
 
 struct Tile {
-    std::uint32_t x0 = 0, y0 = 0, x1 = 0, y1 = 0;
-    std::vector<PixelRay> rays;        // of pixels that are not final
+    PixelBox box;
+    std::optional<BeamTile> beam;      // while its packets are under way
+    std::vector<PixelRay> rays;        // of pixels that are not final and that no packet took
     std::vector<std::uint32_t> where;  // their places in the picture
     bool begun = false;
-    bool done() const { return begun && rays.empty(); }
+    bool done() const { return begun && !beam && rays.empty(); }
+    std::uint64_t pixels() const { return std::uint64_t(box.x1 - box.x0) * (box.y1 - box.y0); }
+    std::uint64_t waiting() const { return beam ? pixels() : rays.size(); }
 };
 
 class CpuPicture {
@@ -49,6 +53,11 @@ public:
 private:
     Result<void> open();
     Result<void> pass();
+    void makeTiles();
+    bool allDone() const {
+        return std::all_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return tile.done(); });
+    }
+    bool repeat();
     void traceTile(std::uint32_t index, WantList& wants);
     void drawProvisional();
     // Sends the wants of the last pass and takes in what comes. False when nothing more may come.
@@ -136,14 +145,33 @@ Result<void> CpuPicture::open() {
     tracer_.emplace(plan_);
     outcome_.picture = Picture(request_.width, request_.height);
     outcome_.background = scene->background;
-    for (std::uint32_t y = 0; y < request_.height; y += kTileEdge)
-        for (std::uint32_t x = 0; x < request_.width; x += kTileEdge) {
-            Tile& tile = tiles_.emplace_back();
-            tile.x0 = x, tile.y0 = y;
-            tile.x1 = std::min(x + kTileEdge, request_.width);
-            tile.y1 = std::min(y + kTileEdge, request_.height);
-        }
+    makeTiles();
     return {};
+}
+
+void CpuPicture::makeTiles() {
+    tiles_.clear();
+    for (std::uint32_t y = 0; y < request_.height; y += kTileEdge)
+        for (std::uint32_t x = 0; x < request_.width; x += kTileEdge)
+            tiles_.emplace_back().box = {x, y, std::min(x + kTileEdge, request_.width),
+                                         std::min(y + kTileEdge, request_.height)};
+}
+
+// The whole picture again with the pages that are there; false where one is missing.
+bool CpuPicture::repeat() {
+    std::vector<double> seconds;
+    for (unsigned i = 0; i < request_.repeats; ++i) {
+        makeTiles();
+        outcome_.seconds_render = 0;
+        do {
+            if (Result<void> drawn = pass(); !drawn) return false;
+        } while (wants_.empty() && !allDone());
+        if (!allDone()) return false;
+        seconds.push_back(outcome_.seconds_render);
+    }
+    std::nth_element(seconds.begin(), seconds.begin() + std::ptrdiff_t(seconds.size() / 2), seconds.end());
+    outcome_.seconds_render = seconds[seconds.size() / 2];
+    return true;
 }
 
 // A first wish that needs no knowledge: the top of each tree, and an overview of what the camera sees.
@@ -220,16 +248,35 @@ void CpuPicture::traceTile(std::uint32_t index, WantList& wants) {
         }
         return progress == RayTracer::Progress::kFinal;
     };
+    auto take = [&](std::uint32_t x, std::uint32_t y) {
+        const std::uint32_t at = y * picture.width + x;
+        PixelRay ray;
+        if (advance(ray, at)) return;
+        tile.rays.push_back(std::move(ray));
+        tile.where.push_back(at);
+    };
+    auto takeAll = [&] {
+        for (std::uint32_t y = tile.box.y0; y < tile.box.y1; ++y)
+            for (std::uint32_t x = tile.box.x0; x < tile.box.x1; ++x) take(x, y);
+    };
     if (!tile.begun) {
         tile.begun = true;
-        for (std::uint32_t y = tile.y0; y < tile.y1; ++y)
-            for (std::uint32_t x = tile.x0; x < tile.x1; ++x) {
-                const std::uint32_t at = y * picture.width + x;
-                PixelRay ray;
-                if (advance(ray, at)) continue;
-                tile.rays.push_back(std::move(ray));
-                tile.where.push_back(at);
-            }
+        if (!BeamTile::canTrace(plan_) || !plan_.quality.reference) return takeAll();
+        tile.beam.emplace(plan_, tile.box);
+    }
+    if (tile.beam) {
+        const BeamTile::Progress progress = tile.beam->advance(ray_context);
+        if (progress == BeamTile::Progress::kWaiting) return;
+        if (progress == BeamTile::Progress::kFailed) {
+            tile.beam.reset();
+            return takeAll();
+        }
+        tile.beam->forEachPixel([&](PixelPlace place, const RayComposite& pixel, bool) {
+            picture.pixels[place.y * picture.width + place.x] = pixel.pixel();
+        });
+        const std::vector<PixelPlace> others = tile.beam->others();
+        tile.beam.reset();
+        for (const PixelPlace& place : others) take(place.x, place.y);
         return;
     }
     std::size_t kept = 0;
@@ -270,7 +317,7 @@ Result<void> CpuPicture::pass() {
             const std::size_t before = wants[thread].size();
             traceTile(open_tiles[i], wants[thread]);
             missed.fetch_add(wants[thread].size() - before, std::memory_order_relaxed);
-            waiting.fetch_add(tiles_[open_tiles[i]].rays.size(), std::memory_order_relaxed);
+            waiting.fetch_add(tiles_[open_tiles[i]].waiting(), std::memory_order_relaxed);
         }
     });
     for (const WantList& list : wants) wants_.merge(list);
@@ -332,6 +379,14 @@ void CpuPicture::drawProvisional() {
             for (std::size_t r = 0; r < tile.rays.size(); ++r)
                 outcome_.picture.pixels[tile.where[r]] =
                     tracer_->provisional(tile.rays[r], ray_context).pixel();
+            if (!tile.beam) continue;
+            for (std::uint32_t y = tile.box.y0; y < tile.box.y1; ++y)
+                for (std::uint32_t x = tile.box.x0; x < tile.box.x1; ++x) {
+                    PixelRay ray;
+                    tracer_->begin(x, y, ray);
+                    outcome_.picture.pixels[y * outcome_.picture.width + x] =
+                        tracer_->provisional(ray, ray_context).pixel();
+                }
         }
     });
 }
@@ -363,18 +418,17 @@ Result<RenderOutcome> CpuPicture::run() {
         }
         done = 0;
         for (const Tile& tile : tiles_)
-            if (tile.begun) done += std::uint64_t(tile.x1 - tile.x0) * (tile.y1 - tile.y0) - tile.rays.size();
+            if (tile.begun) done += tile.pixels() - tile.waiting();
         if (request_.progress)
             request_.progress(done, outcome_.picture.pixels.size(), source_.counters().bytes_streamed);
-        if (std::all_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return tile.done(); })) break;
+        if (allDone()) break;
         Result<bool> streamed = stream();
         if (!streamed) return tl::unexpected(streamed.error());
         // A pass may stop before the last tile with nothing missed: then the next one goes on.
         more = *streamed || (wants_.empty() && !over_budget_);
     }
 
-    const bool all_done =
-        std::all_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return tile.done(); });
+    const bool all_done = allDone();
     if (!all_done) drawProvisional();
     if (outcome_.passes == 0) outcome_.seconds_first_image = secondsSince(begin_);
     outcome_.final = all_done && failed_.empty();
@@ -387,6 +441,10 @@ Result<RenderOutcome> CpuPicture::run() {
     outcome_.cache_reloads = cache_->reloads();
     outcome_.tree_bytes = density_->treeBytes() + (emission_ ? emission_->treeBytes() : 0);
     outcome_.seconds_total = secondsSince(begin_);
+    if (outcome_.final && request_.repeats > 0) {
+        const double in_passes = outcome_.seconds_render;
+        if (!repeat()) outcome_.seconds_render = in_passes;
+    }
     return std::move(outcome_);
 }
 

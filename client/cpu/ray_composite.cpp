@@ -186,6 +186,20 @@ Pixel RayComposite::pixel() const {
     return p;
 }
 
+void compositeAlpha(RayComposite& out, double variance, bool empty) {
+    out.transmittance = std::exp(-out.optical_depth);
+    out.alpha = -std::expm1(-out.optical_depth);
+    // The true transmittance lies in [exp(-high), exp(-low)].
+    out.bound_alpha = std::max(std::exp(-out.optical_low) - out.transmittance,
+                               out.transmittance - std::exp(-out.optical_high));
+    if (!empty) out.bound_alpha = std::min(1.0, out.bound_alpha + kPixelRounding);
+    // A normal error of the optical depth makes a log-normal one of the transmittance: its standard
+    // deviation.
+    const double normal = std::min(variance, 50.0);
+    out.estimate_alpha =
+        std::min(out.transmittance * std::exp(0.5 * normal) * std::sqrt(std::expm1(normal)), out.bound_alpha);
+}
+
 RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view,
                           const std::vector<RaySegment>& density, const std::vector<RaySegment>* emission,
                           bool with_light) {
@@ -197,19 +211,8 @@ RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view,
         out.optical_high += segment.high;
         variance += segment.variance;
     }
-    out.transmittance = std::exp(-out.optical_depth);
-    out.alpha = -std::expm1(-out.optical_depth);
+    compositeAlpha(out, variance, density.empty());
     if (out.optical_depth > 0) out.depth = distanceTo(density, -std::log1p(-0.5 * out.alpha));
-
-    // The true transmittance lies in [exp(-high), exp(-low)].
-    out.bound_alpha = std::max(std::exp(-out.optical_low) - out.transmittance,
-                               out.transmittance - std::exp(-out.optical_high));
-    if (!density.empty()) out.bound_alpha = std::min(1.0, out.bound_alpha + kPixelRounding);
-    // A normal error of the optical depth makes a log-normal one of the transmittance: its standard
-    // deviation.
-    const double normal = std::min(variance, 50.0);
-    out.estimate_alpha =
-        std::min(out.transmittance * std::exp(0.5 * normal) * std::sqrt(std::expm1(normal)), out.bound_alpha);
     out.density_alpha.assign(density.size(), out.transmittance);
     out.density_radiance.assign(density.size(), 0);
     if (!with_light && !emission) return out;

@@ -33,6 +33,10 @@ RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view,
                           const std::vector<RaySegment>& density, const std::vector<RaySegment>* emission,
                           bool with_light);
 
+// Alpha, transmittance and their errors from the optical depth, its interval and the variance of its expected
+// error. `empty`: the ray meets no medium at all.
+void compositeAlpha(RayComposite& out, double variance, bool empty);
+
 // Henyey and Greenstein's phase function, per steradian; `cosine` between the ways light travels before and
 // after.
 double henyeyGreenstein(double g, double cosine);

@@ -69,19 +69,19 @@ bool RayTracer::goodEnough(const RayComposite& composite, bool with_light) const
     return composite.estimate_alpha <= estimate_target_ && composite.estimate_radiance <= estimate_target_;
 }
 
+void RayTracer::begin(std::uint32_t x, std::uint32_t y, PixelRay& ray) const {
+    ray.begun = true;
+    ray.world = plan_.camera->ray(x, y);
+    ray.density = ChannelRay(*plan_.density, ray.world, plan_.scene.density_scale, /*keep_cells=*/true);
+    ray.density.begin(plan_.quality.reference);
+    if (!plan_.emission) return;
+    ray.emission.emplace(*plan_.emission, ray.world, plan_.scene.emission->scale, /*keep_cells=*/true);
+    ray.emission->begin(plan_.quality.reference);
+}
+
 RayTracer::Progress RayTracer::advance(std::uint32_t x, std::uint32_t y, PixelRay& ray,
                                        const RayContext& context, RayComposite& out) const {
-    if (!ray.begun) {
-        ray.begun = true;
-        ray.world = plan_.camera->ray(x, y);
-        ray.density = ChannelRay(*plan_.density, ray.world, plan_.scene.density_scale, /*keep_cells=*/true);
-        ray.density.begin(plan_.quality.reference);
-        if (plan_.emission) {
-            ray.emission.emplace(*plan_.emission, ray.world, plan_.scene.emission->scale,
-                                 /*keep_cells=*/true);
-            ray.emission->begin(plan_.quality.reference);
-        }
-    }
+    if (!ray.begun) begin(x, y, ray);
     const std::vector<RaySegment>* emission = ray.emission ? &ray.emission->segments() : nullptr;
     auto composite = [&](bool with_light) {
         return compositeRay(plan_, ray.world.direction, ray.density.segments(), emission, with_light);

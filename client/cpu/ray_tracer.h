@@ -20,6 +20,8 @@ class RayTracer {
 public:
     explicit RayTracer(const RenderPlan& plan);
 
+    // The pixel's first cut. advance() begins by itself.
+    void begin(std::uint32_t x, std::uint32_t y, PixelRay& ray) const;
     // Goes on with a pixel as far as the pages allow. kFinal: `out` is its last value. kDrawn: pages are
     // missing, and `out` is the pixel of the last cut that was whole. kMissing: there is no such cut yet.
     enum class Progress { kMissing, kDrawn, kFinal };

@@ -1,0 +1,59 @@
+#include "client/cpu/node_error.h"
+
+#include <array>
+#include <cmath>
+
+namespace brickyard {
+
+namespace {
+
+constexpr double kTailShare = 0.4;
+
+// effectiveSquare() from the codes of an error grid, for a scale of 1: each code is a power of two.
+struct CodeSquares {
+    std::array<double, 256> rms{}, bound{};
+    CodeSquares() {
+        for (int code = 1; code < 256; ++code) {
+            const double octaves = (code - 255) / 8.0;
+            rms[std::size_t(code)] = std::exp2(2 * (1 - kTailShare) * octaves);
+            bound[std::size_t(code)] = std::exp2(2 * kTailShare * octaves);
+        }
+    }
+};
+const CodeSquares kCodeSquares;
+
+}  // namespace
+
+double effectiveSquare(double rms, double bound) {
+    return rms > 0 ? std::pow(rms, 2 * (1 - kTailShare)) * std::pow(bound, 2 * kTailShare) : 0;
+}
+
+double effectiveSquareOfCodes(std::uint8_t rms, std::uint8_t bound) {
+    return kCodeSquares.rms[rms] * kCodeSquares.bound[bound];
+}
+
+NodeErrors errorsOfNode(const NodeRecord& record, const ErrorGrid* grid) {
+    NodeErrors errors;
+    if (record.bound == 0) return errors;
+    if (!grid) {
+        errors.bound[0] = double(record.bound);
+        errors.square[0] = effectiveSquare(double(record.rms), double(record.bound));
+        return errors;
+    }
+    errors.uniform = false;
+    const double unit = double(record.bound) * double(record.bound);
+    for (std::size_t i = 0; i < kErrorGridCells; ++i) {
+        errors.bound[i] = double(errorFromCode(grid->bound[i], record.bound));
+        errors.square[i] = unit * effectiveSquareOfCodes(grid->rms[i], grid->bound[i]);
+    }
+    return errors;
+}
+
+NodeErrors errorsOfDraft(const NodeRecord& record) {
+    NodeErrors errors;
+    errors.bound[0] = double(record.draft_bound);
+    errors.square[0] = effectiveSquare(double(record.draft_rms), double(record.draft_bound));
+    return errors;
+}
+
+}  // namespace brickyard

@@ -1,0 +1,26 @@
+// What a node's stored errors say of an integral through it. Pure functions, any thread.
+// docs/error-bounds.md.
+#pragma once
+
+#include "core/tree_block.h"
+
+namespace brickyard {
+
+// Square of the effective deviation, rms^0.6 * bound^0.4: deviations have heavy tails, and a ray that grazes
+// the busy corner of a sub-box sees more than its mean. Measured in docs/decisions/0002-error-estimate.md.
+double effectiveSquare(double rms, double bound);
+// The same from the codes of an error grid, for a scale of 1.
+double effectiveSquareOfCodes(std::uint8_t rms, std::uint8_t bound);
+
+// A node's errors by sub-box of its error grid, x fastest, in the channel's unit: along a ray, the integral
+// over a stretch is off by `bound` x length at most; its expected error has the variance `square` x length x
+// one voxel of the level.
+struct NodeErrors {
+    bool uniform = true;  // the same everywhere: entry 0 holds it
+    double bound[kErrorGridCells] = {};
+    double square[kErrorGridCells] = {};
+};
+NodeErrors errorsOfNode(const NodeRecord& record, const ErrorGrid* grid);
+NodeErrors errorsOfDraft(const NodeRecord& record);
+
+}  // namespace brickyard
