@@ -2,115 +2,138 @@
 // absorption.
 //
 // Reference: the leaves. Else the tile has one cut for all of its rays, refined from the roots until each
-// ray's estimate is small enough; rays that are good enough keep what they have. Each decision rests on
-// stored data, never on what was resident, so a finished pixel is the same, bit for bit, however its pages
-// came. A ray that misses a brick keeps its place and goes on later, so a cache of a few pages is enough.
+// ray's error is small enough; rays that are good enough keep what they have. Each decision rests on stored
+// data, never on what was resident, so a finished pixel is the same, bit for bit, however its pages came. A
+// ray that misses a brick keeps its place and goes on later, so a cache of a few pages is enough.
 // docs/design.md, section "A tile". Not thread-safe: one thread works on a tile.
 #pragma once
 
 #include <memory>
-#include <unordered_set>
 #include <vector>
 
 #include "client/cpu/channel_ray.h"
+#include "client/cpu/node_error.h"
+#include "client/cpu/packet_kernel.h"
 #include "client/cpu/packet_walk.h"
+#include "client/cpu/pixel_packets.h"
 #include "client/cpu/ray_composite.h"
 #include "client/cpu/render_plan.h"
+#include "client/cpu/tile_cut.h"
 
 namespace brickyard {
 
-// Pixels [x0, x1) x [y0, y1).
-struct PixelBox {
-    std::uint32_t x0 = 0, y0 = 0, x1 = 0, y1 = 0;
+// What a packet's rays have collected. Integrals are of the field, before the density scale.
+struct alignas(64) BeamRays {
+    static constexpr int kRays = RayPacket::kRays;
+    double depth[kRays] = {}, low[kRays] = {}, high[kRays] = {}, variance[kRays] = {};
+    double first[kRays] = {}, last[kRays] = {};  // all of the ray inside the medium
+    double at_least[kRays] = {};                 // of the depth, in front of a blocked ray's scout
+    double resume[kRays] = {};                   // where a blocked ray goes on
+    double transmittance[kRays] = {};            // of the last cut; 1 at first
+    double distance[kRays] = {};                 // to half the opacity
+    std::uint16_t blocked = 0;                   // lanes that miss a page of this pass
+    std::uint16_t settled = 0;                   // lanes that later cuts leave alone
+    std::uint16_t stuck = 0;                     // settled, though not good enough: nothing finer could help
+    std::uint8_t cut[kRays] = {};                // number of the cut that a lane's marks are of
+    std::int32_t last_mark = -1;
 };
-struct PixelPlace {
-    std::uint32_t x = 0, y = 0;
-};
+
+inline bool hasLane(std::uint16_t mask, int lane) { return mask >> lane & 1; }
+inline void addLane(std::uint16_t& mask, int lane) { mask = std::uint16_t(mask | 1u << lane); }
 
 class BeamTile {
 public:
-    // Whether the plan's pictures can be traced in beams: no light, no emission, no strict bound, and a
-    // background that absorbs nothing.
+    // Whether the plan's pictures can be traced in beams: no light, no emission, and a background that
+    // absorbs nothing.
     static bool canTrace(const RenderPlan& plan);
 
-    // REQUIRES: canTrace(plan), and the box holds at most 8 * kMostPackets pixels. `plan` must outlive the
+    // kAsked: what the plan's quality asks for. kResident: what can be drawn with the pages that are there.
+    enum class Cut { kAsked, kResident };
+    // REQUIRES: canTrace(plan), and the box holds at most 16 * kMostPackets pixels. `plan` must outlive the
     // tile.
-    BeamTile(const RenderPlan& plan, const PixelBox& box);
+    BeamTile(const RenderPlan& plan, const PixelBox& box, Cut cut);
 
     // kWaiting: pages are missing, and wanted. kFailed: one of them cannot be had, and the tile is of no use.
+    // A kResident tile is done at once.
     enum class Progress { kWaiting, kDone, kFailed };
     Progress advance(const RayContext& context);
 
     // Pixels whose rays run parallel to an axis plane: no packet takes them.
-    const std::vector<PixelPlace>& others() const { return others_; }
-    // Calls draw(place, composite, enough) for each pixel but the others; `enough`: its error is what was
-    // asked for. REQUIRES: advance() gave kDone.
+    const std::vector<PixelPlace>& others() const { return pixels_.others; }
+    // Calls draw(place, pixel) for each pixel that sees the medium, but the others. REQUIRES: advance() gave
+    // kDone.
     template <class Draw>
     void forEachPixel(Draw&& draw) const {
-        for (std::size_t p = 0; p < packets_.size(); ++p)
-            for (int lane = 0; lane < RayPacket::kRays; ++lane)
-                if (rays_[p].used >> lane & 1)
-                    draw(rays_[p].place[lane], composite(rays_[p], lane), !(rays_[p].stuck >> lane & 1));
+        for (std::size_t p = 0; p < rays_.size(); ++p)
+            for (int lane = 0; lane < BeamRays::kRays; ++lane)
+                if (hasLane(pixels_.lanes[p].used, lane))
+                    draw(pixels_.lanes[p].place[lane], pixelOf(p, lane));
     }
+    std::size_t packets() const { return rays_.size(); }
+    // Rays that are as fine as the data, and yet above the error asked for.
+    std::uint64_t stuckRays() const;
 
 private:
-    // How far a packet's rays have got, and what was found there. Integrals are of the field, before `scale`.
-    struct alignas(64) Rays {
-        double depth[8] = {}, low[8] = {}, high[8] = {}, variance[8] = {};
-        double at_least[8] = {};             // of the depth, in front of a blocked ray's scout
-        double resume[8] = {};               // where a blocked ray goes on
-        double first[8] = {}, last[8] = {};  // all of the ray inside the medium
-        double unit[8] = {};                 // world length of an index unit along the ray
-        double transmittance[8] = {};        // of the last cut; 1 at first
-        double target[8] = {}, distance[8] = {};
-        PixelPlace place[8];
-        std::uint8_t used = 0;     // lanes with a pixel
-        std::uint8_t blocked = 0;  // lanes that miss a page of this pass
-        std::uint8_t settled = 0;  // lanes that later cuts leave alone
-        std::uint8_t stuck = 0;    // settled, though not good enough: nothing finer could help
-        // After each node: where each ray was, and its depth. For the distance to half the opacity.
-        struct Mark {
-            double end[8], depth[8];
-        };
-        std::vector<Mark> marks;
+    // After each node: where each ray of a packet was, and its depth. A chain per packet, newest first.
+    struct Mark {
+        double end[BeamRays::kRays], depth[BeamRays::kRays];
+        std::uint32_t node = 0;
+        std::int32_t previous = -1;
+        std::uint8_t cut = 0;
     };
-    struct Item;
+    // A node as the walk met it: what all packets need of it.
+    struct Visit {
+        const float* samples = nullptr;  // nullptr: one value, or missing
+        double constant = 0;
+        bool missing = false, draft = false, in_kernel = false;
+        double rounding = 0, lost = 0;  // of an integral, per length, and per ray
+        NodeErrors errors;
+    };
     enum class Phase { kIntegrate, kRefine, kLocate, kDone };
 
     bool integrate(const RayContext& context);
     void integrateNode(const WalkedNode& node, PacketList list, const RayContext& context);
-    bool refine(const RayContext& context);
-    bool settle();
-    void startCut();
-    bool locate(const RayContext& context);
-    void beginLocating();
-
-    const float* samplesOf(const WalkedNode& node, std::size_t rays, double worth, const RayContext& context);
-    bool usesDraft(const WalkedNode& node) const;
-    bool descends(const WalkedNode& node) const;
-    void block(RayPacket& packet, Rays& rays, const PacketSpans& spans, double least,
-               const RayContext& context);
+    Visit visit(const WalkedNode& node, PacketList list, const RayContext& context);
+    void visitResident(const WalkedNode& node, const RayContext& context, Visit& out) const;
+    void integratePacket(const WalkedNode& node, const Visit& visit, const BrickCells& cells,
+                         std::uint16_t place, const RayContext& context);
+    void block(std::uint16_t place, const PacketSpans& spans, double least, const RayContext& context);
     void release();
-    RayComposite composite(const Rays& rays, int lane) const;
-    void sumNode(const WalkedNode& node, const float* samples, const RayPacket& packet,
-                 const PacketSpans& spans, double* sums) const;
-    void findInNode(const WalkedNode& node, const float* samples, const RayPacket& packet,
-                    const PacketSpans& spans, const double* targets, double* sums, double* found) const;
+    void startCut();
+    // Rays that are good enough are settled; true when all are.
+    bool settle();
+    bool allSettled() const;
+    bool refine(const RayContext& context);
+    bool locate(const RayContext& context);
+    bool locateIn(std::size_t place, const RayContext& context);
+    bool findInMark(std::size_t place, const Mark& mark, const PacketSpans& spans, const double* targets,
+                    double* before, const RayContext& context);
+
+    const float* samplesOf(const WalkedNode& node, bool draft, double worth, const RayContext& context);
+    bool descends(const WalkedNode& node, const RayContext& context) const;
+    bool childrenResident(const WalkedNode& node, const RayContext& context) const;
+    AlphaComposite alphaOf(std::size_t place, int lane) const;
+    Pixel pixelOf(std::size_t place, int lane) const;
     BrickCells cellsOf(const WalkedNode& node, const float* samples) const;
     bool fitsKernel(const NodeRecord& record, int level) const;
-    Item describe(const WalkedNode& node, PacketList list) const;
+    // Adds a node's integral to sums.
+    void sumNode(const WalkedNode& node, const Visit& visit, const BrickCells& cells, const RayPacket& packet,
+                 const PacketSpans& spans, double* sums) const;
 
     const RenderPlan& plan_;
     const PagedChannel& channel_;
     double scale_;
+    bool resident_;
     FrontToBack order_;
-    std::vector<RayPacket> packets_;
-    std::vector<Rays> rays_;
-    std::vector<PixelPlace> others_;
+    PixelPackets pixels_;
+    std::vector<BeamRays> rays_;
+    std::vector<Mark> marks_;
+    std::vector<WalkedNode> nodes_;      // that marks are of
+    std::vector<std::uint8_t> located_;  // by packet: its distances are known
+    TileCut cut_;
+    std::uint8_t cut_number_ = 0;
     Phase phase_ = Phase::kIntegrate;
     bool any_blocked_ = false, failed_ = false;
-    // The cut: nodes that give way to their children, and leaves whose whole brick takes their draft's place.
-    std::unordered_set<std::uint64_t> split_, whole_;
 };
 
 }  // namespace brickyard

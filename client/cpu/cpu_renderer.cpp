@@ -8,6 +8,7 @@
 #include <thread>
 #include <unordered_set>
 
+#include "client/brick_page.h"
 #include "client/cpu/beam_tile.h"
 #include "client/cpu/ray_tracer.h"
 #include "client/renderer.h"
@@ -40,8 +41,7 @@ struct Tile {
     std::vector<std::uint32_t> where;  // their places in the picture
     bool begun = false;
     bool done() const { return begun && !beam && rays.empty(); }
-    std::uint64_t pixels() const { return std::uint64_t(box.x1 - box.x0) * (box.y1 - box.y0); }
-    std::uint64_t waiting() const { return beam ? pixels() : rays.size(); }
+    std::uint64_t waiting() const { return beam ? box.pixels() : rays.size(); }
 };
 
 class CpuPicture {
@@ -60,6 +60,7 @@ private:
     bool repeat();
     void traceTile(std::uint32_t index, WantList& wants);
     void drawProvisional();
+    void drawResident(const Tile& tile, const RayContext& context);
     // Sends the wants of the last pass and takes in what comes. False when nothing more may come.
     Result<bool> stream();
     Result<void> take(const PageWish& wish);
@@ -132,7 +133,7 @@ Result<void> CpuPicture::open() {
     camera_ = *camera;
 
     const BrickShape shape{edge};
-    cache_.emplace(request_.cache_bytes, shape.samples());
+    cache_.emplace(request_.cache_bytes, pageFloats(shape));
     if (cache_->capacity() == 0)
         return fail(ErrorCode::kInvalid,
                     fmt::format("--cache {} is less than one brick of this dataset; give at least {} bytes",
@@ -225,7 +226,7 @@ void CpuPicture::arrive(const Arrival& arrival) {
     if (!decoded) return failed(where + ": " + decoded.error().message);
     float* slot = cache_->insert(address);
     if (!slot) return;  // no room now: it is wanted again
-    std::copy(samples.begin(), samples.end(), slot);
+    *std::copy(samples.begin(), samples.end(), slot) = steepnessOf(samples, channel->shape());
     if (address.block == 0 && address.node < channel->roots().size()) cache_->pin(address);
 }
 
@@ -261,8 +262,8 @@ void CpuPicture::traceTile(std::uint32_t index, WantList& wants) {
     };
     if (!tile.begun) {
         tile.begun = true;
-        if (!BeamTile::canTrace(plan_) || !plan_.quality.reference) return takeAll();
-        tile.beam.emplace(plan_, tile.box);
+        if (!BeamTile::canTrace(plan_)) return takeAll();
+        tile.beam.emplace(plan_, tile.box, BeamTile::Cut::kAsked);
     }
     if (tile.beam) {
         const BeamTile::Progress progress = tile.beam->advance(ray_context);
@@ -271,8 +272,8 @@ void CpuPicture::traceTile(std::uint32_t index, WantList& wants) {
             tile.beam.reset();
             return takeAll();
         }
-        tile.beam->forEachPixel([&](PixelPlace place, const RayComposite& pixel, bool) {
-            picture.pixels[place.y * picture.width + place.x] = pixel.pixel();
+        tile.beam->forEachPixel([&](PixelPlace place, const Pixel& pixel) {
+            picture.pixels[place.y * picture.width + place.x] = pixel;
         });
         const std::vector<PixelPlace> others = tile.beam->others();
         tile.beam.reset();
@@ -368,6 +369,21 @@ Result<bool> CpuPicture::stream() {
     return true;
 }
 
+// A tile that waits, from the pages that are there.
+void CpuPicture::drawResident(const Tile& tile, const RayContext& ray_context) {
+    Picture& picture = outcome_.picture;
+    BeamTile beam(plan_, tile.box, BeamTile::Cut::kResident);
+    beam.advance(ray_context);
+    beam.forEachPixel([&](PixelPlace place, const Pixel& pixel) {
+        picture.pixels[place.y * picture.width + place.x] = pixel;
+    });
+    for (const PixelPlace& place : beam.others()) {
+        PixelRay ray;
+        tracer_->begin(place.x, place.y, ray);
+        picture.pixels[place.y * picture.width + place.x] = tracer_->provisional(ray, ray_context).pixel();
+    }
+}
+
 void CpuPicture::drawProvisional() {
     std::atomic<std::size_t> next{0};
     std::vector<WantList> ignored(threads_);
@@ -380,13 +396,7 @@ void CpuPicture::drawProvisional() {
                 outcome_.picture.pixels[tile.where[r]] =
                     tracer_->provisional(tile.rays[r], ray_context).pixel();
             if (!tile.beam) continue;
-            for (std::uint32_t y = tile.box.y0; y < tile.box.y1; ++y)
-                for (std::uint32_t x = tile.box.x0; x < tile.box.x1; ++x) {
-                    PixelRay ray;
-                    tracer_->begin(x, y, ray);
-                    outcome_.picture.pixels[y * outcome_.picture.width + x] =
-                        tracer_->provisional(ray, ray_context).pixel();
-                }
+            drawResident(tile, ray_context);
         }
     });
 }
@@ -418,7 +428,7 @@ Result<RenderOutcome> CpuPicture::run() {
         }
         done = 0;
         for (const Tile& tile : tiles_)
-            if (tile.begun) done += tile.pixels() - tile.waiting();
+            if (tile.begun) done += tile.box.pixels() - tile.waiting();
         if (request_.progress)
             request_.progress(done, outcome_.picture.pixels.size(), source_.counters().bytes_streamed);
         if (allDone()) break;

@@ -34,25 +34,25 @@ double effectiveSquareOfCodes(std::uint8_t rms, std::uint8_t bound) {
 
 NodeErrors errorsOfNode(const NodeRecord& record, const ErrorGrid* grid) {
     NodeErrors errors;
+    errors.bound_scale = double(record.bound);
     if (record.bound == 0) return errors;
     if (!grid) {
-        errors.bound[0] = double(record.bound);
-        errors.square[0] = effectiveSquare(double(record.rms), double(record.bound));
+        errors.square_scale = effectiveSquare(double(record.rms), double(record.bound));
         return errors;
     }
     errors.uniform = false;
-    const double unit = double(record.bound) * double(record.bound);
+    errors.square_scale = double(record.bound) * double(record.bound);
     for (std::size_t i = 0; i < kErrorGridCells; ++i) {
-        errors.bound[i] = double(errorFromCode(grid->bound[i], record.bound));
-        errors.square[i] = unit * effectiveSquareOfCodes(grid->rms[i], grid->bound[i]);
+        errors.bound[i] = errorFromCode(grid->bound[i], 1);
+        errors.square[i] = float(effectiveSquareOfCodes(grid->rms[i], grid->bound[i]));
     }
     return errors;
 }
 
 NodeErrors errorsOfDraft(const NodeRecord& record) {
     NodeErrors errors;
-    errors.bound[0] = double(record.draft_bound);
-    errors.square[0] = effectiveSquare(double(record.draft_rms), double(record.draft_bound));
+    errors.bound_scale = double(record.draft_bound);
+    errors.square_scale = effectiveSquare(double(record.draft_rms), double(record.draft_bound));
     return errors;
 }
 

@@ -12,13 +12,17 @@ double effectiveSquare(double rms, double bound);
 // The same from the codes of an error grid, for a scale of 1.
 double effectiveSquareOfCodes(std::uint8_t rms, std::uint8_t bound);
 
-// A node's errors by sub-box of its error grid, x fastest, in the channel's unit: along a ray, the integral
-// over a stretch is off by `bound` x length at most; its expected error has the variance `square` x length x
-// one voxel of the level.
+// A node's errors by sub-box of its error grid, x fastest: along a ray, the integral over a stretch is off by
+// `bound_scale` x bound[i] x length at most; its expected error has the variance `square_scale` x square[i] x
+// length x one voxel of the level. Scales are in the channel's unit (squared), the rest is relative: any
+// magnitude fits.
 struct NodeErrors {
-    bool uniform = true;  // the same everywhere: entry 0 holds it
-    double bound[kErrorGridCells] = {};
-    double square[kErrorGridCells] = {};
+    double bound_scale = 0, square_scale = 0;  // 0: exact
+    bool uniform = true;                       // the same everywhere: 1 in each sub-box
+    float bound[kErrorGridCells];
+    float square[kErrorGridCells];
+
+    bool exact() const { return bound_scale == 0; }
 };
 NodeErrors errorsOfNode(const NodeRecord& record, const ErrorGrid* grid);
 NodeErrors errorsOfDraft(const NodeRecord& record);

@@ -1,25 +1,30 @@
 // Built once per instruction set by Highway's foreach_target; the functions at the end choose at run time.
+// AVX-512 and AVX2 are what servers and workstations have; anything else runs the baseline.
+#include <hwy/detect_targets.h>
+#undef HWY_DISABLED_TARGETS
+#define HWY_DISABLED_TARGETS (HWY_SSSE3 | HWY_SSE4 | HWY_AVX3_DL)
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "client/cpu/packet_kernel.cpp"
-#include "client/cpu/packet_kernel.h"
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
+
 #include "client/cpu/cell_walk.h"
+#include "client/cpu/packet_kernel.h"
 
 #ifndef BRICKYARD_PACKET_KERNEL_SCALAR  // once, not once per target
 #define BRICKYARD_PACKET_KERNEL_SCALAR
 namespace brickyard {
 namespace {
 
-// Twice the mean of max(0, field) from `from` to `to` in the cell that begins at sample `at`; `otherwise`
-// where no corner is negative.
-double twiceMeanPositive(const BrickCells& brick, std::int64_t at, const glm::dvec3& from,
-                         const glm::dvec3& to, double otherwise) {
+// Mean of max(0, field) from `from` to `to` in the cell that begins at sample `at`; `otherwise` where no
+// corner is negative.
+double meanOfCell(const BrickCells& brick, std::int32_t at, const glm::dvec3& from, const glm::dvec3& to,
+                  double otherwise) {
     const float* c = brick.samples + at;
     const int sy = brick.edge_samples, sz = sy * sy;
     const Cell cell{{c[0], c[1], c[sy], c[sy + 1], c[sz], c[sz + 1], c[sz + sy], c[sz + sy + 1]}};
     for (double corner : cell.corner)
-        if (corner < 0) return 2 * meanPositive(cell, glm::clamp(from, 0.0, 1.0), glm::clamp(to, 0.0, 1.0));
+        if (corner < 0) return meanPositive(cell, glm::clamp(from, 0.0, 1.0), glm::clamp(to, 0.0, 1.0));
     return otherwise;
 }
 
@@ -34,25 +39,17 @@ namespace {
 
 namespace hn = hwy::HWY_NAMESPACE;
 
-constexpr int kRays = RayPacket::kRays;
+constexpr std::size_t kRays = RayPacket::kRays;
 using D = hn::CappedTag<double, kRays>;
 using V = hn::Vec<D>;
-using F = hn::Rebind<float, D>;
+using F = hn::CappedTag<float, kRays>;
 using VF = hn::Vec<F>;
-using I = hn::RebindToSigned<D>;
+using MF = hn::Mask<F>;
+using I = hn::RebindToSigned<F>;
 using VI = hn::Vec<I>;
 constexpr D kD;
 constexpr F kF;
 constexpr I kI;
-
-HWY_ATTR HWY_INLINE VF lowHalves(hn::Vec<hn::Rebind<std::uint64_t, D>> pair) {
-    return hn::BitCast(kF, hn::TruncateTo(hn::Rebind<std::uint32_t, D>(), pair));
-}
-HWY_ATTR HWY_INLINE VF highHalves(hn::Vec<hn::Rebind<std::uint64_t, D>> pair) {
-    return lowHalves(hn::ShiftRight<32>(pair));
-}
-HWY_ATTR HWY_INLINE VF unit(VF v) { return hn::Min(hn::Max(v, hn::Zero(kF)), hn::Set(kF, 1.0f)); }
-HWY_ATTR HWY_INLINE VF lerp(VF from, VF way, VF at) { return hn::MulAdd(way, at, from); }
 
 // The live part of rays [i, i + lanes) inside a box.
 HWY_ATTR HWY_INLINE void clip(const RayPacket& p, std::size_t i, const double* low, const double* high,
@@ -74,10 +71,10 @@ HWY_ATTR std::size_t ClipPackets(const RayPacket* packets, const std::uint16_t* 
     for (std::size_t k = 0; k < count; ++k) {
         const RayPacket& p = packets[in[k]];
         bool any = false;
-        for (std::size_t i = 0; i < kRays; i += hn::Lanes(kD)) {
+        for (std::size_t i = 0; i < kRays && !any; i += hn::Lanes(kD)) {
             V begin, end;
             clip(p, i, low, high, begin, end);
-            any |= !hn::AllFalse(kD, hn::Lt(begin, end));
+            any = !hn::AllFalse(kD, hn::Lt(begin, end));
         }
         out[kept] = in[k];
         kept += any;
@@ -94,264 +91,372 @@ HWY_ATTR void ClipPacket(const RayPacket& packet, const double* low, const doubl
     }
 }
 
-// One axis of a walk through a regular grid: where the next plane is, and the cell's place. In units of the
-// grid's cells; `base` and `inverse` turn a plane's number into t.
-struct Axis {
-    V direction, inverse, base;
-    V to_cell;  // origin less the cell's number: position in the cell is direction * t + to_cell
-    V step;     // +1 or -1
-    V plane;    // number of the plane that ends the cell
-    V t_next;   // where it is
-    V cell;     // of the begin only
+// A packet's rays within a regular grid of cells, in floats: positions are in cells from the grid's middle, s
+// is a ray's length in cells from the middle of its span. So both stay small, and a float's rounding with
+// them.
+struct alignas(64) LocalRays {
+    float position[3][kRays];   // at s = 0
+    float direction[3][kRays];  // unit
+    float inverse[3][kRays];    // finite
+    float begin[kRays], end[kRays];
+    double middle[kRays];   // world distance of s = 0
+    double unit[kRays];     // world length of s = 1
+    double centre;          // of the grid, in cells from its low corner
+    int first[3], last[3];  // cells to walk
+    int most;               // no ray has more of them
+};
 
-    // Narrows [begin, end] to the planes `first` and `last` of the grid.
-    HWY_ATTR HWY_INLINE void place(const RayPacket& p, std::size_t i, int a, double low, double edge,
-                                   double first, double last, V& begin, V& end) {
-        const V origin =
-            hn::Mul(hn::Sub(hn::Load(kD, p.origin[a] + i), hn::Set(kD, low)), hn::Set(kD, 1 / edge));
-        direction = hn::Mul(hn::Load(kD, p.direction[a] + i), hn::Set(kD, 1 / edge));
-        inverse = hn::Mul(hn::Load(kD, p.inverse[a] + i), hn::Set(kD, edge));
-        base = hn::Neg(hn::Mul(origin, inverse));
-        to_cell = origin;
-        const V t0 = hn::MulAdd(hn::Set(kD, first), inverse, base),
-                t1 = hn::MulAdd(hn::Set(kD, last), inverse, base);
-        begin = hn::Max(begin, hn::Min(t0, t1));
-        end = hn::Min(end, hn::Max(t0, t1));
+// Where an axis moves by less than this over a cell's length, it counts as still: the plane that it never
+// reaches then lies far away instead of at infinity, where it would make a NaN.
+constexpr float kLeastSlope = 1e-18f;
+
+// False where no ray has anything to walk.
+HWY_ATTR bool localRays(const RayPacket& p, const double* low, double cell_edge, double centre,
+                        const int* first, const int* last, const PacketSpans& spans, LocalRays& out) {
+    using H = hn::Rebind<float, D>;
+    constexpr H kH;
+    out.centre = centre;
+    out.most = 1;
+    for (int a = 0; a < 3; ++a) {
+        out.first[a] = first[a];
+        out.last[a] = last[a];
+        out.most += last[a] - first[a];
     }
-    HWY_ATTR HWY_INLINE void start(V begin, double first, double last) {
-        const V position = hn::Floor(hn::MulAdd(begin, direction, to_cell));
-        const V lowest = hn::Set(kD, first), highest = hn::Set(kD, last - 1);
-        // A NaN is in no range and becomes the first cell: an index is never taken from it.
-        cell = hn::IfThenElse(hn::And(hn::Ge(position, lowest), hn::Le(position, highest)), position,
-                              hn::IfThenElse(hn::Gt(position, highest), highest, lowest));
-        const auto forward = hn::Gt(direction, hn::Zero(kD));
-        step = hn::IfThenElse(forward, hn::Set(kD, 1.0), hn::Set(kD, -1.0));
-        plane = hn::Add(cell, hn::IfThenElseZero(forward, hn::Set(kD, 1.0)));
-        to_cell = hn::Sub(to_cell, cell);
-        t_next = hn::MulAdd(plane, inverse, base);
+    bool any = false;
+    const V per_cell = hn::Set(kD, 1 / cell_edge);
+    for (std::size_t i = 0; i < kRays; i += hn::Lanes(kD)) {
+        V t = hn::Load(kD, spans.begin + i), end = hn::Load(kD, spans.end + i);
+        V square = hn::Zero(kD);
+        V direction[3], origin[3];
+        for (int a = 0; a < 3; ++a) {
+            const V inverse = hn::Load(kD, p.inverse[a] + i);
+            origin[a] = hn::Sub(hn::Load(kD, p.origin[a] + i), hn::Set(kD, low[a]));
+            const V t0 = hn::Mul(hn::Sub(hn::Set(kD, first[a] * cell_edge), origin[a]), inverse);
+            const V t1 = hn::Mul(hn::Sub(hn::Set(kD, last[a] * cell_edge), origin[a]), inverse);
+            t = hn::Max(t, hn::Min(t0, t1));
+            end = hn::Min(end, hn::Max(t0, t1));
+            direction[a] = hn::Mul(hn::Load(kD, p.direction[a] + i), per_cell);
+            square = hn::MulAdd(direction[a], direction[a], square);
+        }
+        const auto there = hn::Lt(t, end);
+        any |= !hn::AllFalse(kD, there);
+        const V speed = hn::Sqrt(square), unit = hn::Div(hn::Set(kD, 1.0), speed);
+        const V middle = hn::IfThenElse(there, hn::Mul(hn::Set(kD, 0.5), hn::Add(t, end)), t);
+        hn::Store(middle, kD, out.middle + i);
+        hn::Store(unit, kD, out.unit + i);
+        const V half = hn::IfThenElseZero(there, hn::Mul(hn::Mul(hn::Set(kD, 0.5), hn::Sub(end, t)), speed));
+        hn::Store(hn::DemoteTo(kH, hn::Neg(half)), kH, out.begin + i);
+        hn::Store(hn::DemoteTo(kH, half), kH, out.end + i);
+        for (int a = 0; a < 3; ++a) {
+            const V slope = hn::Mul(direction[a], unit);
+            const V steep = hn::CopySign(hn::Max(hn::Abs(slope), hn::Set(kD, double(kLeastSlope))), slope);
+            const V at =
+                hn::Sub(hn::Mul(hn::MulAdd(middle, hn::Load(kD, p.direction[a] + i), origin[a]), per_cell),
+                        hn::Set(kD, centre));
+            hn::Store(hn::DemoteTo(kH, hn::IfThenElseZero(there, at)), kH, out.position[a] + i);
+            hn::Store(hn::DemoteTo(kH, steep), kH, out.direction[a] + i);
+            hn::Store(hn::DemoteTo(kH, hn::Div(hn::Set(kD, 1.0), steep)), kH, out.inverse[a] + i);
+        }
     }
-    HWY_ATTR HWY_INLINE void advance(hn::Mask<D> where) {
-        const V by = hn::IfThenElseZero(where, step);
+    return any;
+}
+
+// One axis of a walk: the cell that each ray is in and the plane where it leaves it.
+struct Axis {
+    VF position, direction, inverse;
+    VF cell;   // its low plane, from the grid's middle
+    VF step;   // +1 or -1
+    VF plane;  // that ends the cell
+
+    // Begins at `s`; shortens `end` to the last plane of the grid, as the walk will compute it.
+    HWY_ATTR HWY_INLINE void start(const LocalRays& rays, int a, std::size_t i, VF s, VF& end) {
+        position = hn::Load(kF, rays.position[a] + i);
+        direction = hn::Load(kF, rays.direction[a] + i);
+        inverse = hn::Load(kF, rays.inverse[a] + i);
+        const VF lowest = hn::Set(kF, float(rays.first[a] - rays.centre));
+        const VF outer = hn::Set(kF, float(rays.last[a] - rays.centre));
+        const VF highest = hn::Sub(outer, hn::Set(kF, 1.0f));
+        // The grid's middle may lie within a cell: planes are at lowest + k.
+        cell = hn::Add(hn::Floor(hn::Sub(hn::MulAdd(s, direction, position), lowest)), lowest);
+        // A NaN becomes the first cell: an index is never taken from it.
+        cell = hn::IfThenElse(hn::Ge(cell, lowest), hn::Min(cell, highest), lowest);
+        const MF forward = hn::Gt(direction, hn::Zero(kF));
+        step = hn::IfThenElse(forward, hn::Set(kF, 1.0f), hn::Set(kF, -1.0f));
+        plane = hn::Add(cell, hn::IfThenElseZero(forward, hn::Set(kF, 1.0f)));
+        end = hn::Min(end, at(hn::IfThenElse(forward, outer, lowest)));
+    }
+    HWY_ATTR HWY_INLINE VF at(VF where) const { return hn::Mul(hn::Sub(where, position), inverse); }
+    HWY_ATTR HWY_INLINE VF next() const { return at(plane); }
+    HWY_ATTR HWY_INLINE VF inCell(VF s) const { return hn::Sub(hn::MulAdd(s, direction, position), cell); }
+    HWY_ATTR HWY_INLINE void advance(MF where) {
+        const VF by = hn::IfThenElseZero(where, step);
         plane = hn::Add(plane, by);
-        to_cell = hn::Sub(to_cell, by);
-        t_next = hn::MulAdd(plane, inverse, base);
+        cell = hn::Add(cell, by);
+    }
+    // Number of the cell from the grid's low corner.
+    HWY_ATTR HWY_INLINE VI number(float centre) const {
+        return hn::ConvertTo(kI, hn::Add(cell, hn::Set(kF, centre)));
     }
 };
 
-// Cells with a negative corner, few in most bricks: the field is cut off at zero there, ray by ray in double.
-HWY_ATTR HWY_NOINLINE V meanOfSigned(const BrickCells& brick, VI offset, V t, V t_exit, const Axis& x,
-                                     const Axis& y, const Axis& z, V twice_mean) {
-    constexpr std::size_t kMost = hn::MaxLanes(D());
-    alignas(64) double mean[kMost], from[3][kMost], to[3][kMost];
-    alignas(64) std::int64_t offsets[kMost];
-    hn::Store(twice_mean, kD, mean);
-    hn::Store(offset, kI, offsets);
-    const Axis* axes[3] = {&x, &y, &z};
-    for (int a = 0; a < 3; ++a) {
-        hn::Store(hn::MulAdd(t, axes[a]->direction, axes[a]->to_cell), kD, from[a]);
-        hn::Store(hn::MulAdd(t_exit, axes[a]->direction, axes[a]->to_cell), kD, to[a]);
-    }
-    for (std::size_t lane = 0; lane < hn::Lanes(kD); ++lane)
-        mean[lane] =
-            twiceMeanPositive(brick, offsets[lane] / 4, {from[0][lane], from[1][lane], from[2][lane]},
-                              {to[0][lane], to[1][lane], to[2][lane]}, mean[lane]);
-    return hn::Load(kD, mean);
-}
-
-// Walks the cells of a brick. take(t, t_exit, length, sum of the field at the two Gauss points) is told of
-// each step and returns the lanes that may go on.
-template <class Take>
-HWY_ATTR HWY_INLINE void walk(const RayPacket& p, std::size_t i, const BrickCells& brick,
-                              const PacketSpans& spans, V& begin_out, const Take& take) {
-    V t = hn::Load(kD, spans.begin + i), end = hn::Load(kD, spans.end + i);
+// Walks rays [i, i + lanes) through the cells. visit(step) is told of each step, and returns the rays that
+// may go on.
+struct Step {
+    const Axis &x, &y, &z;
+    VF begin, end, length;  // of the step, as s; length 0 for rays that are done
+    VI index;               // of the cell: x + y * row + z * slice
+};
+template <class Visit>
+HWY_ATTR HWY_INLINE void walk(const LocalRays& rays, std::size_t i, int row, int slice, const Visit& visit) {
+    VF s = hn::Load(kF, rays.begin + i), end = hn::Load(kF, rays.end + i);
+    MF going = hn::Lt(s, end);
+    if (hn::AllFalse(kF, going)) return;
     Axis x, y, z;
-    x.place(p, i, 0, brick.low[0], brick.cell_edge, brick.box_begin[0], brick.box_end[0], t, end);
-    y.place(p, i, 1, brick.low[1], brick.cell_edge, brick.box_begin[1], brick.box_end[1], t, end);
-    z.place(p, i, 2, brick.low[2], brick.cell_edge, brick.box_begin[2], brick.box_end[2], t, end);
-    begin_out = t;
-    if (hn::AllFalse(kD, hn::Lt(t, end))) return;
-    x.start(t, brick.box_begin[0], brick.box_end[0]);
-    y.start(t, brick.box_begin[1], brick.box_end[1]);
-    z.start(t, brick.box_begin[2], brick.box_end[2]);
-
-    const int s = brick.edge_samples;
-    const V row = hn::Set(kD, 4.0 * s), slice = hn::Set(kD, 4.0 * s * s), four = hn::Set(kD, 4.0);
-    VI offset = hn::ConvertTo(kI, hn::MulAdd(z.cell, slice, hn::MulAdd(y.cell, row, hn::Mul(x.cell, four))));
-    const VI step_x = hn::ConvertTo(kI, hn::Mul(x.step, four));
-    const VI step_y = hn::ConvertTo(kI, hn::Mul(y.step, row));
-    const VI step_z = hn::ConvertTo(kI, hn::Mul(z.step, slice));
-    // Pairs of floats, x and x + 1, as one 64-bit lane: four gathers a cell.
-    using Pair = hn::Rebind<std::uint64_t, D>;
-    const auto* samples = reinterpret_cast<const std::uint64_t*>(brick.samples);
-    const auto* samples_y = reinterpret_cast<const std::uint64_t*>(brick.samples + s);
-    const auto* samples_z = reinterpret_cast<const std::uint64_t*>(brick.samples + s * s);
-    const auto* samples_yz = reinterpret_cast<const std::uint64_t*>(brick.samples + s * s + s);
-
-    constexpr double kGauss = 0.28867513459481288225;  // 1 / (2 sqrt 3)
-    const V half = hn::Set(kD, 0.5), gauss = hn::Set(kD, kGauss);
-    const V gauss_x = hn::Mul(x.direction, gauss), gauss_y = hn::Mul(y.direction, gauss),
-            gauss_z = hn::Mul(z.direction, gauss);
-    // No ray has more cells than this; a rounding or a NaN must not make it a long walk.
-    const int most = (brick.box_end[0] - brick.box_begin[0]) + (brick.box_end[1] - brick.box_begin[1]) +
-                     (brick.box_end[2] - brick.box_begin[2]) + 1;
-    auto going = hn::Lt(t, end);
-    for (int k = 0; k < most; ++k) {
-        const V t_exit = hn::Min(hn::Min(x.t_next, y.t_next), hn::Min(z.t_next, end));
-        const V length = hn::IfThenElseZero(hn::And(going, hn::Lt(t, t_exit)), hn::Sub(t_exit, t));
-        const V middle = hn::Mul(hn::Add(t, t_exit), half);
-        const VF mx = hn::DemoteTo(kF, hn::MulAdd(middle, x.direction, x.to_cell));
-        const VF my = hn::DemoteTo(kF, hn::MulAdd(middle, y.direction, y.to_cell));
-        const VF mz = hn::DemoteTo(kF, hn::MulAdd(middle, z.direction, z.to_cell));
-        const VF gx = hn::DemoteTo(kF, hn::Mul(length, gauss_x));
-        const VF gy = hn::DemoteTo(kF, hn::Mul(length, gauss_y));
-        const VF gz = hn::DemoteTo(kF, hn::Mul(length, gauss_z));
-        const VF ax = unit(hn::Sub(mx, gx)), ay = unit(hn::Sub(my, gy)), az = unit(hn::Sub(mz, gz));
-        const VF bx = unit(hn::Add(mx, gx)), by = unit(hn::Add(my, gy)), bz = unit(hn::Add(mz, gz));
-
-        const auto p00 = hn::GatherOffset(Pair(), samples, offset);
-        const auto p10 = hn::GatherOffset(Pair(), samples_y, offset);
-        const auto p01 = hn::GatherOffset(Pair(), samples_z, offset);
-        const auto p11 = hn::GatherOffset(Pair(), samples_yz, offset);
-        const VF c00 = lowHalves(p00), e00 = highHalves(p00), d00 = hn::Sub(e00, c00);
-        const VF c10 = lowHalves(p10), e10 = highHalves(p10), d10 = hn::Sub(e10, c10);
-        const VF c01 = lowHalves(p01), e01 = highHalves(p01), d01 = hn::Sub(e01, c01);
-        const VF c11 = lowHalves(p11), e11 = highHalves(p11), d11 = hn::Sub(e11, c11);
-        const VF a00 = lerp(c00, d00, ax), a01 = lerp(c01, d01, ax);
-        const VF a0 = lerp(a00, hn::Sub(lerp(c10, d10, ax), a00), ay);
-        const VF a1 = lerp(a01, hn::Sub(lerp(c11, d11, ax), a01), ay);
-        const VF b00 = lerp(c00, d00, bx), b01 = lerp(c01, d01, bx);
-        const VF b0 = lerp(b00, hn::Sub(lerp(c10, d10, bx), b00), by);
-        const VF b1 = lerp(b01, hn::Sub(lerp(c11, d11, bx), b01), by);
-        const VF both = hn::Add(lerp(a0, hn::Sub(a1, a0), az), lerp(b0, hn::Sub(b1, b0), bz));
-        V twice_mean = hn::PromoteTo(kD, both);
-        const VF least = hn::Min(hn::Min(hn::Min(c00, e00), hn::Min(c10, e10)),
-                                 hn::Min(hn::Min(c01, e01), hn::Min(c11, e11)));
-        if (!hn::AllFalse(kF, hn::Lt(least, hn::Zero(kF))))
-            twice_mean = meanOfSigned(brick, offset, t, t_exit, x, y, z, twice_mean);
-        going = hn::And(going, take(t, t_exit, length, twice_mean));
-
-        going = hn::And(going, hn::Lt(t_exit, end));
-        if (hn::AllFalse(kD, going)) break;
-        const auto over_x = hn::And(going, hn::Le(x.t_next, t_exit));
-        const auto over_y = hn::And(going, hn::Le(y.t_next, t_exit));
-        const auto over_z = hn::And(going, hn::Le(z.t_next, t_exit));
-        offset = hn::Add(offset, hn::IfThenElseZero(hn::RebindMask(kI, over_x), step_x));
-        offset = hn::Add(offset, hn::IfThenElseZero(hn::RebindMask(kI, over_y), step_y));
-        offset = hn::Add(offset, hn::IfThenElseZero(hn::RebindMask(kI, over_z), step_z));
-        t = hn::Max(t, t_exit);
+    x.start(rays, 0, i, s, end);
+    y.start(rays, 1, i, s, end);
+    z.start(rays, 2, i, s, end);
+    const float centre = float(rays.centre);
+    VI index = hn::Add(x.number(centre), hn::Add(hn::Mul(y.number(centre), hn::Set(kI, row)),
+                                                 hn::Mul(z.number(centre), hn::Set(kI, slice))));
+    const VI step_x = hn::ConvertTo(kI, x.step);
+    const VI step_y = hn::ConvertTo(kI, hn::Mul(y.step, hn::Set(kF, float(row))));
+    const VI step_z = hn::ConvertTo(kI, hn::Mul(z.step, hn::Set(kF, float(slice))));
+    going = hn::Lt(s, end);
+    // A rounding or a NaN must not make it a long walk.
+    for (int k = 0; k < rays.most; ++k) {
+        const VF next_x = x.next(), next_y = y.next(), next_z = z.next();
+        const VF exit = hn::Min(hn::Min(next_x, next_y), hn::Min(next_z, end));
+        const VF length = hn::IfThenElseZero(going, hn::Max(hn::Sub(exit, s), hn::Zero(kF)));
+        going = hn::And(going, visit(Step{x, y, z, s, exit, length, index}));
+        // `end` is no farther than the last planes, so nobody leaves the grid.
+        going = hn::And(going, hn::Lt(exit, end));
+        if (hn::AllFalse(kF, going)) break;
+        const MF over_x = hn::And(going, hn::Le(next_x, exit));
+        const MF over_y = hn::And(going, hn::Le(next_y, exit));
+        const MF over_z = hn::And(going, hn::Le(next_z, exit));
+        index = hn::Add(index, hn::IfThenElseZero(hn::RebindMask(kI, over_x), step_x));
+        index = hn::Add(index, hn::IfThenElseZero(hn::RebindMask(kI, over_y), step_y));
+        index = hn::Add(index, hn::IfThenElseZero(hn::RebindMask(kI, over_z), step_z));
+        s = hn::Max(s, exit);
         x.advance(over_x);
         y.advance(over_y);
         z.advance(over_z);
     }
 }
 
+// The eight corners of each ray's cell.
+struct Corners {
+    VF c000, c100, c010, c110, c001, c101, c011, c111;
+};
+
+#if HWY_TARGET == HWY_SCALAR || HWY_TARGET == HWY_EMU128
+constexpr bool kHasBlocks = false;
+#else
+constexpr bool kHasBlocks = true;
+#endif
+
+// Block b of the result is the four floats at base + 4 * index[4 b].
+template <class T>
+[[maybe_unused]] HWY_ATTR HWY_INLINE hn::Vec<T> loadBlocks(T tag, const float* base,
+                                                           const std::int32_t* index) {
+    if constexpr (hn::MaxLanes(tag) <= 4) {
+        return hn::LoadU(tag, base + 4 * std::ptrdiff_t(index[0]));
+    } else {
+        const hn::Half<T> half;
+        return hn::Combine(tag, loadBlocks(half, base, index + hn::MaxLanes(half)),
+                           loadBlocks(half, base, index));
+    }
+}
+
+// Four rays' quads side by side become four corners of all rays: a 4 x 4 transpose in each block.
+[[maybe_unused]] HWY_ATTR HWY_INLINE void transposeQuads(const float* base, const std::int32_t* index, VF& q0,
+                                                         VF& q1, VF& q2, VF& q3) {
+    const hn::RepartitionToWide<F> wide;
+    const VF r0 = loadBlocks(kF, base, index), r1 = loadBlocks(kF, base, index + 1);
+    const VF r2 = loadBlocks(kF, base, index + 2), r3 = loadBlocks(kF, base, index + 3);
+    const auto a = hn::BitCast(wide, hn::InterleaveLower(kF, r0, r1)),
+               b = hn::BitCast(wide, hn::InterleaveLower(kF, r2, r3));
+    const auto c = hn::BitCast(wide, hn::InterleaveUpper(kF, r0, r1)),
+               d = hn::BitCast(wide, hn::InterleaveUpper(kF, r2, r3));
+    q0 = hn::BitCast(kF, hn::InterleaveLower(wide, a, b));
+    q1 = hn::BitCast(kF, hn::InterleaveUpper(wide, a, b));
+    q2 = hn::BitCast(kF, hn::InterleaveLower(wide, c, d));
+    q3 = hn::BitCast(kF, hn::InterleaveUpper(wide, c, d));
+}
+
+template <bool kQuads>
+HWY_ATTR HWY_INLINE Corners cornersOf(const BrickCells& brick, VI index) {
+    Corners c;
+    const int row = brick.edge_samples, slice = row * row;
+    if constexpr (kQuads && kHasBlocks) {
+        alignas(64) std::int32_t at[kRays];
+        hn::Store(index, kI, at);
+        transposeQuads(brick.quads, at, c.c000, c.c100, c.c010, c.c110);
+        transposeQuads(brick.quads + 4 * std::ptrdiff_t(slice), at, c.c001, c.c101, c.c011, c.c111);
+    } else {
+        const float* s = brick.samples;
+        c.c000 = hn::GatherIndex(kF, s, index);
+        c.c100 = hn::GatherIndex(kF, s + 1, index);
+        c.c010 = hn::GatherIndex(kF, s + row, index);
+        c.c110 = hn::GatherIndex(kF, s + row + 1, index);
+        c.c001 = hn::GatherIndex(kF, s + slice, index);
+        c.c101 = hn::GatherIndex(kF, s + slice + 1, index);
+        c.c011 = hn::GatherIndex(kF, s + slice + row, index);
+        c.c111 = hn::GatherIndex(kF, s + slice + row + 1, index);
+    }
+    return c;
+}
+
+HWY_ATTR HWY_INLINE VF lerp(VF from, VF way, VF at) { return hn::MulAdd(way, at, from); }
+
+// Mean of the trilinear field on a straight way of `length` around a middle point: the two-point Gauss rule,
+// exact for a cubic, written as the value in the middle plus what the mixed derivatives add. `pairs` holds
+// the products of the direction's components, over 12.
+HWY_ATTR HWY_INLINE VF meanOfField(const Corners& c, VF x, VF y, VF z, VF length, const VF* pairs) {
+    const VF d00 = hn::Sub(c.c100, c.c000), d10 = hn::Sub(c.c110, c.c010);
+    const VF d01 = hn::Sub(c.c101, c.c001), d11 = hn::Sub(c.c111, c.c011);
+    const VF a00 = lerp(c.c000, d00, x), a10 = lerp(c.c010, d10, x);
+    const VF a01 = lerp(c.c001, d01, x), a11 = lerp(c.c011, d11, x);
+    const VF way0 = hn::Sub(a10, a00), way1 = hn::Sub(a11, a01);
+    const VF b0 = lerp(a00, way0, y), b1 = lerp(a01, way1, y);
+    const VF value = lerp(b0, hn::Sub(b1, b0), z);
+    const VF xy0 = hn::Sub(d10, d00), xz0 = hn::Sub(d01, d00);
+    const VF xy = lerp(xy0, hn::Sub(hn::Sub(d11, d01), xy0), z);
+    const VF xz = lerp(xz0, hn::Sub(hn::Sub(d11, d10), xz0), y);
+    const VF yz = hn::Sub(way1, way0);
+    const VF mixed = hn::MulAdd(yz, pairs[2], hn::MulAdd(xz, pairs[1], hn::Mul(xy, pairs[0])));
+    return hn::MulAdd(hn::Mul(length, length), mixed, value);
+}
+
+// Cells with a negative corner, few in most bricks: the field is cut off at zero there, ray by ray in double.
+HWY_ATTR HWY_NOINLINE VF meanOfSigned(const BrickCells& brick, const Step& step, VF mean) {
+    alignas(64) float means[kRays], length[kRays], from[3][kRays], to[3][kRays];
+    alignas(64) std::int32_t index[kRays];
+    hn::Store(mean, kF, means);
+    hn::Store(step.length, kF, length);
+    hn::Store(step.index, kI, index);
+    const Axis* axes[3] = {&step.x, &step.y, &step.z};
+    for (int a = 0; a < 3; ++a) {
+        hn::Store(axes[a]->inCell(step.begin), kF, from[a]);
+        hn::Store(axes[a]->inCell(step.end), kF, to[a]);
+    }
+    for (std::size_t lane = 0; lane < hn::Lanes(kF); ++lane)
+        if (length[lane] > 0)
+            means[lane] = float(meanOfCell(brick, index[lane], {from[0][lane], from[1][lane], from[2][lane]},
+                                           {to[0][lane], to[1][lane], to[2][lane]}, double(means[lane])));
+    return hn::Load(kF, means);
+}
+
+HWY_ATTR HWY_INLINE bool anyNegative(const Corners& c) {
+    const VF least = hn::Min(hn::Min(hn::Min(c.c000, c.c100), hn::Min(c.c010, c.c110)),
+                             hn::Min(hn::Min(c.c001, c.c101), hn::Min(c.c011, c.c111)));
+    return !hn::AllFalse(kF, hn::Lt(least, hn::Zero(kF)));
+}
+
+// take(step, integral over it) for each cell of the brick that rays [i, i + lanes) meet.
+template <bool kQuads, class Take>
+HWY_ATTR HWY_INLINE void walkBrick(const LocalRays& rays, std::size_t i, const BrickCells& brick,
+                                   const Take& take) {
+    const VF dx = hn::Load(kF, rays.direction[0] + i), dy = hn::Load(kF, rays.direction[1] + i),
+             dz = hn::Load(kF, rays.direction[2] + i);
+    const VF twelfth = hn::Set(kF, 1.0f / 12);
+    const VF pairs[3] = {hn::Mul(hn::Mul(dx, dy), twelfth), hn::Mul(hn::Mul(dx, dz), twelfth),
+                         hn::Mul(hn::Mul(dy, dz), twelfth)};
+    const VF half = hn::Set(kF, 0.5f);
+    walk(rays, i, brick.edge_samples, brick.edge_samples * brick.edge_samples,
+         [&](const Step& step) HWY_ATTR {
+             const VF middle = hn::MulAdd(step.length, half, step.begin);
+             const Corners corners = cornersOf<kQuads>(brick, step.index);
+             VF mean = meanOfField(corners, step.x.inCell(middle), step.y.inCell(middle),
+                                   step.z.inCell(middle), step.length, pairs);
+             if (brick.negative && anyNegative(corners)) mean = meanOfSigned(brick, step, mean);
+             return take(step, hn::Mul(step.length, mean));
+         });
+}
+
+template <class Body>
+HWY_ATTR HWY_INLINE void forBrick(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
+                                  Body body) {
+    LocalRays rays;
+    const double centre = 0.5 * (brick.edge_samples - 1);
+    if (!localRays(packet, brick.low, brick.cell_edge, centre, brick.box_begin, brick.box_end, spans, rays))
+        return;
+    for (std::size_t i = 0; i < kRays; i += hn::Lanes(kF)) body(rays, i);
+}
+
+template <bool kQuads>
+HWY_ATTR void integrate(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
+                        double* sums) {
+    forBrick(packet, brick, spans, [&](const LocalRays& rays, std::size_t i) HWY_ATTR {
+        // Kahan's sum: the rounding of some fifty additions would be the largest error of all.
+        VF sum = hn::Zero(kF), lost = hn::Zero(kF);
+        walkBrick<kQuads>(rays, i, brick, [&](const Step&, VF amount) HWY_ATTR {
+            const VF add = hn::Sub(amount, lost);
+            const VF total = hn::Add(sum, add);
+            lost = hn::Sub(hn::Sub(total, sum), add);
+            sum = total;
+            return hn::Eq(sum, sum);
+        });
+        alignas(64) float partial[kRays];
+        hn::Store(sum, kF, partial);
+        for (std::size_t k = 0; k < hn::Lanes(kF); ++k) sums[i + k] += double(partial[k]) * rays.unit[i + k];
+    });
+}
 HWY_ATTR void IntegrateBrick(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
                              double* sums) {
-    const V half = hn::Set(kD, 0.5);
-    for (std::size_t i = 0; i < kRays; i += hn::Lanes(kD)) {
-        V sum = hn::Zero(kD), begin;
-        walk(packet, i, brick, spans, begin, [&](V, V, V length, V both) HWY_ATTR {
-            sum = hn::MulAdd(length, both, sum);
-            return hn::Eq(length, length);
-        });
-        hn::StoreU(hn::MulAdd(sum, half, hn::LoadU(kD, sums + i)), kD, sums + i);
-    }
+    if (brick.quads)
+        integrate<true>(packet, brick, spans, sums);
+    else
+        integrate<false>(packet, brick, spans, sums);
 }
 
 HWY_ATTR void FindInBrick(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
                           const double* targets, double* sums, double* found) {
-    const V half = hn::Set(kD, 0.5);
-    for (std::size_t i = 0; i < kRays; i += hn::Lanes(kD)) {
-        V sum = hn::LoadU(kD, sums + i), at = hn::LoadU(kD, found + i), begin;
-        const V target = hn::LoadU(kD, targets + i);
-        walk(packet, i, brick, spans, begin, [&](V t, V, V length, V both) HWY_ATTR {
-            const V amount = hn::Mul(hn::Mul(length, half), both);
-            const V after = hn::Add(sum, amount);
-            const auto crossed =
-                hn::And(hn::Lt(hn::Zero(kD), amount), hn::And(hn::Lt(sum, target), hn::Ge(after, target)));
-            const V part = hn::Div(hn::Sub(target, sum), amount);
-            at = hn::IfThenElse(crossed, hn::MulAdd(length, part, t), at);
+    forBrick(packet, brick, spans, [&](const LocalRays& rays, std::size_t i) HWY_ATTR {
+        alignas(64) float wanted[kRays], place[kRays], total[kRays];
+        for (std::size_t k = 0; k < hn::Lanes(kF); ++k)
+            wanted[k] = float((targets[i + k] - sums[i + k]) / rays.unit[i + k]);
+        const VF target = hn::Load(kF, wanted), never = hn::Set(kF, 1e30f);
+        VF sum = hn::Zero(kF), at = never;
+        walkBrick<false>(rays, i, brick, [&](const Step& step, VF amount) HWY_ATTR {
+            const VF after = hn::Add(sum, amount);
+            const MF crossed =
+                hn::And(hn::And(hn::Lt(hn::Zero(kF), amount), hn::Eq(at, never)), hn::Ge(after, target));
+            const VF part = hn::Max(hn::Div(hn::Sub(target, sum), amount), hn::Zero(kF));
+            at = hn::IfThenElse(crossed, hn::MulAdd(step.length, part, step.begin), at);
             sum = after;
             return hn::Lt(after, target);
         });
-        hn::StoreU(sum, kD, sums + i);
-        hn::StoreU(at, kD, found + i);
-    }
-}
-
-HWY_ATTR void StepThroughBrick(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
-                               PacketSteps& steps) {
-    const V half = hn::Set(kD, 0.5);
-    int counts[kRays] = {};
-    steps.count = 0;
-    for (std::size_t i = 0; i < kRays; i += hn::Lanes(kD)) {
-        int count = 0;
-        V begin;
-        walk(packet, i, brick, spans, begin, [&](V t, V t_exit, V length, V both) HWY_ATTR {
-            hn::Store(hn::Max(t, t_exit), kD, steps.end[count] + i);
-            hn::Store(hn::Mul(hn::Mul(length, half), both), kD, steps.amount[count] + i);
-            ++count;
-            return hn::Eq(length, length);
-        });
-        hn::Store(begin, kD, steps.begin + i);
-        counts[i] = count;
-        if (count > steps.count) steps.count = count;
-    }
-    // Groups of lanes that ended earlier than others.
-    for (std::size_t i = 0; i < kRays; i += hn::Lanes(kD))
-        for (int k = counts[i]; k < steps.count; ++k) {
-            hn::Store(hn::Zero(kD), kD, steps.amount[k] + i);
-            hn::Store(k > 0 ? hn::Load(kD, steps.end[k - 1] + i) : hn::Load(kD, steps.begin + i), kD,
-                      steps.end[k] + i);
+        hn::Store(at, kF, place);
+        hn::Store(sum, kF, total);
+        for (std::size_t k = 0; k < hn::Lanes(kF); ++k) {
+            if (place[k] < 1e30f) found[i + k] = rays.middle[i + k] + double(place[k]) * rays.unit[i + k];
+            sums[i + k] += double(total[k]) * rays.unit[i + k];
         }
+    });
 }
 
 HWY_ATTR void IntegrateGrid(const RayPacket& packet, const double* low, double edge, const PacketSpans& spans,
-                            const double* first, const double* second, double* first_sums,
+                            const float* first, const float* second, double* first_sums,
                             double* second_sums) {
-    constexpr double kEdge = 4;
-    for (std::size_t i = 0; i < kRays; i += hn::Lanes(kD)) {
-        V t = hn::Load(kD, spans.begin + i);
-        const V end = hn::Load(kD, spans.end + i);
-        auto going = hn::Lt(t, end);
-        if (hn::AllFalse(kD, going)) continue;
-        // The outer faces end nothing: the span does.
-        const V never = hn::Set(kD, 1e308);
-        auto openOutside = [&](Axis& axis) HWY_ATTR {
-            const auto outer =
-                hn::Or(hn::Eq(axis.plane, hn::Zero(kD)), hn::Eq(axis.plane, hn::Set(kD, kEdge)));
-            axis.t_next = hn::IfThenElse(outer, never, axis.t_next);
-        };
-        Axis axes[3];
-        for (int a = 0; a < 3; ++a) {
-            V ignored_begin = t, ignored_end = end;
-            axes[a].place(packet, i, a, low[a], edge / kEdge, 0, kEdge, ignored_begin, ignored_end);
-            axes[a].start(t, 0, kEdge);
-            openOutside(axes[a]);
+    constexpr int kEdge = 4;
+    constexpr int kBegin[3] = {0, 0, 0}, kEnd[3] = {kEdge, kEdge, kEdge};
+    LocalRays rays;
+    if (!localRays(packet, low, edge / kEdge, kEdge / 2, kBegin, kEnd, spans, rays)) return;
+    for (std::size_t i = 0; i < kRays; i += hn::Lanes(kF)) {
+        VF sum_first = hn::Zero(kF), sum_second = hn::Zero(kF);
+        walk(rays, i, kEdge, kEdge * kEdge, [&](const Step& step) HWY_ATTR {
+            sum_first = hn::MulAdd(step.length, hn::GatherIndex(kF, first, step.index), sum_first);
+            sum_second = hn::MulAdd(step.length, hn::GatherIndex(kF, second, step.index), sum_second);
+            return hn::Eq(step.length, step.length);
+        });
+        alignas(64) float one[kRays], two[kRays];
+        hn::Store(sum_first, kF, one);
+        hn::Store(sum_second, kF, two);
+        for (std::size_t k = 0; k < hn::Lanes(kF); ++k) {
+            first_sums[i + k] += double(one[k]) * rays.unit[i + k];
+            second_sums[i + k] += double(two[k]) * rays.unit[i + k];
         }
-        const V strides[3] = {axes[0].step, hn::Mul(axes[1].step, hn::Set(kD, kEdge)),
-                              hn::Mul(axes[2].step, hn::Set(kD, kEdge * kEdge))};
-        V at = hn::MulAdd(axes[2].cell, hn::Set(kD, kEdge * kEdge),
-                          hn::MulAdd(axes[1].cell, hn::Set(kD, kEdge), axes[0].cell));
-        V sum_first = hn::LoadU(kD, first_sums + i), sum_second = hn::LoadU(kD, second_sums + i);
-        for (int k = 0; k < 10; ++k) {  // nine planes inside
-            const V t_exit = hn::Min(hn::Min(axes[0].t_next, axes[1].t_next), hn::Min(axes[2].t_next, end));
-            const V length = hn::IfThenElseZero(hn::And(going, hn::Lt(t, t_exit)), hn::Sub(t_exit, t));
-            const VI place = hn::ConvertTo(kI, at);
-            sum_first = hn::MulAdd(length, hn::GatherIndex(kD, first, place), sum_first);
-            sum_second = hn::MulAdd(length, hn::GatherIndex(kD, second, place), sum_second);
-            going = hn::And(going, hn::Lt(t_exit, end));
-            if (hn::AllFalse(kD, going)) break;
-            t = hn::Max(t, t_exit);
-            for (int a = 0; a < 3; ++a) {
-                const auto over = hn::And(going, hn::Le(axes[a].t_next, t_exit));
-                at = hn::Add(at, hn::IfThenElseZero(over, strides[a]));
-                axes[a].advance(over);
-                openOutside(axes[a]);
-            }
-        }
-        hn::StoreU(sum_first, kD, first_sums + i);
-        hn::StoreU(sum_second, kD, second_sums + i);
     }
 }
 
@@ -369,7 +474,6 @@ HWY_EXPORT(ClipPackets);
 HWY_EXPORT(ClipPacket);
 HWY_EXPORT(IntegrateBrick);
 HWY_EXPORT(FindInBrick);
-HWY_EXPORT(StepThroughBrick);
 HWY_EXPORT(IntegrateGrid);
 HWY_EXPORT(TargetName);
 
@@ -388,15 +492,29 @@ void findInBrick(const RayPacket& packet, const BrickCells& brick, const PacketS
                  const double* targets, double* sums, double* found) {
     HWY_DYNAMIC_DISPATCH(FindInBrick)(packet, brick, spans, targets, sums, found);
 }
-void stepThroughBrick(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
-                      PacketSteps& steps) {
-    HWY_DYNAMIC_DISPATCH(StepThroughBrick)(packet, brick, spans, steps);
-}
 void integrateGrid(const RayPacket& packet, const double low[3], double edge, const PacketSpans& spans,
-                   const double first[64], const double second[64], double* first_sums, double* second_sums) {
+                   const float first[64], const float second[64], double* first_sums, double* second_sums) {
     HWY_DYNAMIC_DISPATCH(IntegrateGrid)(packet, low, edge, spans, first, second, first_sums, second_sums);
 }
 const char* kernelTarget() { return HWY_DYNAMIC_DISPATCH(TargetName)(); }
+
+const float* CornerQuads::of(const BrickCells& brick) {
+    const std::size_t row = std::size_t(brick.edge_samples), slice = row * row;
+    quads_.resize(4 * row * slice);
+    for (int z = brick.box_begin[2]; z <= brick.box_end[2]; ++z)
+        for (int y = brick.box_begin[1]; y < brick.box_end[1]; ++y) {
+            const float* from = brick.samples + std::size_t(z) * slice + std::size_t(y) * row;
+            float* to = quads_.data() + 4 * (std::size_t(z) * slice + std::size_t(y) * row);
+            for (int x = brick.box_begin[0]; x < brick.box_end[0]; ++x) {
+                const std::size_t at = std::size_t(x);
+                to[4 * at] = from[at];
+                to[4 * at + 1] = from[at + 1];
+                to[4 * at + 2] = from[at + row];
+                to[4 * at + 3] = from[at + row + 1];
+            }
+        }
+    return quads_.data();
+}
 
 }  // namespace brickyard
 #endif  // HWY_ONCE

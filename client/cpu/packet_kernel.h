@@ -6,6 +6,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <vector>
 
 #include "client/cpu/ray_packet.h"
 
@@ -14,14 +15,30 @@ namespace brickyard {
 // A brick as its kernels see it. The field is trilinear between the (N + 1)^3 samples, x fastest.
 struct BrickCells {
     const float* samples = nullptr;
+    // The same as CornerQuads has them, or nullptr: then each corner is gathered by itself.
+    const float* quads = nullptr;
     int edge_samples = 0;  // N + 1
     double low[3] = {};    // corner of the brick in index space
     double cell_edge = 1;  // in index units
-    int box_begin[3] = {},
-        box_end[3] = {};  // cells that hold anything but background; the rest is passed over
+    // Cells that hold anything but background; the rest is passed over.
+    int box_begin[3] = {}, box_end[3] = {};
+    bool negative = false;  // whether a sample may be below 0
 };
 
-// Spans of eight rays, in world distances; empty where begin >= end.
+// The four corners of each cell's lower face, side by side: 16 bytes, one load. Four times the size of the
+// samples, so made for a brick while many rays pass through it, into a buffer that is used again.
+class CornerQuads {
+public:
+    // Fills in the cells of the brick's box. Valid until the next call.
+    const float* of(const BrickCells& brick);
+
+private:
+    std::vector<float> quads_;
+};
+// Rays from which on the quads of a brick are worth making. Measured in docs/performance.md.
+inline constexpr std::size_t kRaysForQuads = 128;
+
+// Spans of a packet's rays, in world distances; empty where begin >= end.
 struct alignas(64) PacketSpans {
     double begin[RayPacket::kRays];
     double end[RayPacket::kRays];
@@ -36,33 +53,24 @@ std::size_t clipPackets(const RayPacket* packets, const std::uint16_t* in, std::
 void clipPacket(const RayPacket& packet, const double low[3], const double high[3], PacketSpans& spans);
 
 // Adds to sums[i] the integral of max(0, field) over ray i's span, in field unit x world distance: per cell
-// the exact integral of the cubic (two Gauss points; split at its roots where a corner is negative),
-// positions and sums in double, interpolation in float. Error: below kKernelRounding x (largest sample of the
-// brick) x (length of the span).
+// the exact integral of the cubic (two Gauss points; split at its roots where a corner is negative).
+// Arithmetic is in float, relative to the brick's middle. Error: at most (kPositionRounding x N x steepness
+// (see brick_page.h) + kSampleRounding x largest |sample|) x length of the span, and what the samples can
+// make of kLostLength cells; docs/error-bounds.md derives it.
 void integrateBrick(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans, double* sums);
-inline constexpr double kKernelRounding = 6 * 0x1p-24;
+inline constexpr double kPositionRounding = 1.5 / 16 * 0x1p-20;
+inline constexpr double kSampleRounding = 12 * 0x1p-24;
+inline constexpr double kLostLength = 0x1p-18;
 
 // Where the integral reaches targets[i], given sums[i] at the begin of the span; linear within a cell. Leaves
 // found[i] alone where it does not. Adds to sums[i] as integrateBrick() does.
 void findInBrick(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
                  const double* targets, double* sums, double* found);
 
-// The steps of eight rays through a brick, one cell or less each: end[k][i] is where step k of ray i ends and
-// amount[k][i] the integral over it; count[i] of them. Beyond the last, amounts are 0.
-struct alignas(64) PacketSteps {
-    static constexpr int kMost = 3 * 64 + 3;  // kMaxBrickEdge cells on each axis
-    double begin[RayPacket::kRays];           // of the first step
-    double end[kMost][RayPacket::kRays];
-    double amount[kMost][RayPacket::kRays];
-    int count = 0;  // of the ray with the most
-};
-void stepThroughBrick(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
-                      PacketSteps& steps);
-
 // Integrals over each span of two step functions on a grid of 4x4x4 sub-boxes of [low, low + edge]^3, x
 // fastest.
 void integrateGrid(const RayPacket& packet, const double low[3], double edge, const PacketSpans& spans,
-                   const double first[64], const double second[64], double* first_sums, double* second_sums);
+                   const float first[64], const float second[64], double* first_sums, double* second_sums);
 
 // What was chosen, for reports: "AVX3", "AVX2", ...
 const char* kernelTarget();

@@ -186,18 +186,25 @@ Pixel RayComposite::pixel() const {
     return p;
 }
 
-void compositeAlpha(RayComposite& out, double variance, bool empty) {
-    out.transmittance = std::exp(-out.optical_depth);
-    out.alpha = -std::expm1(-out.optical_depth);
-    // The true transmittance lies in [exp(-high), exp(-low)].
-    out.bound_alpha = std::max(std::exp(-out.optical_low) - out.transmittance,
-                               out.transmittance - std::exp(-out.optical_high));
-    if (!empty) out.bound_alpha = std::min(1.0, out.bound_alpha + kPixelRounding);
+AlphaComposite compositeAlpha(double depth, double low, double high, double variance) {
+    AlphaComposite out;
+    out.transmittance = std::exp(-depth);
+    out.alpha = depth < 0.5 ? -std::expm1(-depth) : 1 - out.transmittance;
+    // The true transmittance lies in [exp(-high), exp(-low)]. Where the interval is narrow, a bound of the
+    // exponential does.
+    const double above = depth - low, below = high - depth;
+    constexpr double kNarrow = 1e-3;
+    const double rise =
+        above < kNarrow ? out.transmittance * above * (1 + above) : std::exp(-low) - out.transmittance;
+    const double fall = below < kNarrow ? out.transmittance * below : out.transmittance - std::exp(-high);
+    out.bound = std::min(1.0, std::max(rise, fall) + kPixelRounding);
     // A normal error of the optical depth makes a log-normal one of the transmittance: its standard
     // deviation.
     const double normal = std::min(variance, 50.0);
-    out.estimate_alpha =
-        std::min(out.transmittance * std::exp(0.5 * normal) * std::sqrt(std::expm1(normal)), out.bound_alpha);
+    if (normal > 0)
+        out.estimate =
+            std::min(out.transmittance * std::exp(0.5 * normal) * std::sqrt(std::expm1(normal)), out.bound);
+    return out;
 }
 
 RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view,
@@ -211,7 +218,14 @@ RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view,
         out.optical_high += segment.high;
         variance += segment.variance;
     }
-    compositeAlpha(out, variance, density.empty());
+    if (!density.empty()) {
+        const AlphaComposite alpha =
+            compositeAlpha(out.optical_depth, out.optical_low, out.optical_high, variance);
+        out.alpha = alpha.alpha;
+        out.transmittance = alpha.transmittance;
+        out.bound_alpha = alpha.bound;
+        out.estimate_alpha = alpha.estimate;
+    }
     if (out.optical_depth > 0) out.depth = distanceTo(density, -std::log1p(-0.5 * out.alpha));
     out.density_alpha.assign(density.size(), out.transmittance);
     out.density_radiance.assign(density.size(), 0);

@@ -33,9 +33,12 @@ RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view,
                           const std::vector<RaySegment>& density, const std::vector<RaySegment>* emission,
                           bool with_light);
 
-// Alpha, transmittance and their errors from the optical depth, its interval and the variance of its expected
-// error. `empty`: the ray meets no medium at all.
-void compositeAlpha(RayComposite& out, double variance, bool empty);
+// Alpha, transmittance and their errors from the optical depth of a ray that meets the medium, the interval
+// [low, high] that holds the true one, and the variance of its expected error.
+struct AlphaComposite {
+    double alpha = 0, transmittance = 1, bound = 0, estimate = 0;
+};
+AlphaComposite compositeAlpha(double depth, double low, double high, double variance);
 
 // Henyey and Greenstein's phase function, per steradian; `cosine` between the ways light travels before and
 // after.

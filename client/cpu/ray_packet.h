@@ -1,4 +1,4 @@
-// Eight rays side by side, as the SIMD kernels take them. Plain value; one thread works on a packet.
+// Sixteen rays side by side, as the SIMD kernels take them. Plain value; one thread works on a packet.
 #pragma once
 
 #include <cstdint>
@@ -8,7 +8,7 @@
 namespace brickyard {
 
 struct alignas(64) RayPacket {
-    static constexpr int kRays = 8;
+    static constexpr int kRays = 16;
     // As IndexRay has them: index space; t is world distance. REQUIRES: no axis of a live ray is parallel.
     double origin[3][kRays] = {};
     double direction[3][kRays] = {};

@@ -1,0 +1,124 @@
+// Where the rays of a tile reach half their opacity: the marks tell between which two nodes' ends, and only
+// that stretch is walked again.
+
+#include <algorithm>
+#include <cmath>
+
+#include "client/cpu/beam_tile.h"
+#include "client/cpu/cell_walk.h"
+
+namespace brickyard {
+
+namespace {
+
+constexpr int kLanes = RayPacket::kRays;
+constexpr double kNever = std::numeric_limits<double>::infinity();
+
+}  // namespace
+
+bool BeamTile::findInMark(std::size_t place, const Mark& mark, const PacketSpans& spans,
+                          const double* targets, double* before, const RayContext& context) {
+    const WalkedNode& node = nodes_[mark.node];
+    RayPacket packet = pixels_.packets[place];
+    double* found = rays_[place].distance;
+    const float* samples = nullptr;
+    if (node.status == WalkStatus::kNode && node.record().hasBrick()) {
+        if (resident_) {
+            Visit met;
+            visitResident(node, context, met);
+            samples = met.samples;
+        } else {
+            samples = samplesOf(node, cut_.usesDraft(node), 1, context);
+            if (!samples) return false;
+        }
+    }
+    if (samples && fitsKernel(node.record(), node.key.level)) {
+        findInBrick(packet, cellsOf(node, samples), spans, targets, before, found);
+        return true;
+    }
+    for (int lane = 0; lane < kLanes; ++lane) {
+        if (!(spans.begin[lane] < spans.end[lane])) continue;
+        if (!samples) {
+            // One value: linear.
+            const double amount = mark.depth[lane] - before[lane];
+            const double part =
+                amount > 0 ? std::clamp((targets[lane] - before[lane]) / amount, 0.0, 1.0) : 1;
+            found[lane] = spans.begin[lane] + part * (spans.end[lane] - spans.begin[lane]);
+            continue;
+        }
+        IndexRay ray;
+        for (int a = 0; a < 3; ++a) {
+            ray.origin[a] = packet.origin[a][lane];
+            ray.direction[a] = packet.direction[a][lane];
+            ray.inverse[a] = packet.inverse[a][lane];
+        }
+        double sum = before[lane];
+        walkCells(
+            samples, channel_.shape(), node.key, node.record(), ray, {spans.begin[lane], spans.end[lane]},
+            [&](const Cell& cell, const glm::dvec3& from, const glm::dvec3& to, double begin, double end) {
+                const double amount = meanPositive(cell, from, to) * (end - begin);
+                if (sum < targets[lane] && amount > 0 && sum + amount >= targets[lane])
+                    found[lane] =
+                        begin + (end - begin) * std::clamp((targets[lane] - sum) / amount, 0.0, 1.0);
+                sum += amount;
+            });
+    }
+    return true;
+}
+
+// False while a page is missing.
+bool BeamTile::locateIn(std::size_t place, const RayContext& context) {
+    BeamRays& rays = rays_[place];
+    alignas(64) double targets[kLanes], before[kLanes];
+    PacketSpans spans;
+    std::int32_t in_mark[kLanes];
+    for (int lane = 0; lane < kLanes; ++lane) {
+        in_mark[lane] = -1;
+        targets[lane] = before[lane] = 0;
+        spans.begin[lane] = rays.first[lane];
+        spans.end[lane] = -kNever;
+        if (!hasLane(pixels_.lanes[place].used, lane) || !(rays.depth[lane] * scale_ > 0)) continue;
+        const double alpha = -std::expm1(-rays.depth[lane] * scale_);
+        targets[lane] = std::min(-std::log1p(-0.5 * alpha) / scale_, rays.depth[lane]);
+        for (std::int32_t m = rays.last_mark; m >= 0; m = marks_[std::size_t(m)].previous) {
+            const Mark& mark = marks_[std::size_t(m)];
+            if (mark.cut != rays.cut[lane] || !(mark.end[lane] > -kNever)) continue;
+            if (mark.depth[lane] < targets[lane]) {
+                spans.begin[lane] = mark.end[lane];
+                before[lane] = mark.depth[lane];
+                break;
+            }
+            in_mark[lane] = m;
+        }
+        if (in_mark[lane] < 0) continue;
+        spans.end[lane] = rays.distance[lane] = marks_[std::size_t(in_mark[lane])].end[lane];
+    }
+    for (int lane = 0; lane < kLanes; ++lane) {
+        if (in_mark[lane] < 0) continue;
+        const Mark& mark = marks_[std::size_t(in_mark[lane])];
+        PacketSpans here = spans;
+        const std::int32_t current = in_mark[lane];
+        for (int other = 0; other < kLanes; ++other)
+            if (in_mark[other] == current)
+                in_mark[other] = -1;
+            else
+                here.end[other] = -kNever;
+        if (!findInMark(place, mark, here, targets, before, context)) return false;
+    }
+    return true;
+}
+
+bool BeamTile::locate(const RayContext& context) {
+    bool complete = true;
+    located_.resize(rays_.size());
+    for (std::size_t p = 0; p < rays_.size(); ++p) {
+        if (located_[p]) continue;
+        const bool found = locateIn(p, context);
+        located_[p] = found;
+        complete &= found;
+        if (!found && (failed_ || context.full())) return false;
+    }
+    return complete;
+}
+
+}  // namespace brickyard
