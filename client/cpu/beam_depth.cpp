@@ -28,7 +28,7 @@ bool BeamTile::findInMark(std::size_t place, const Mark& mark, const PacketSpans
             visitResident(node, context, met);
             samples = met.samples;
         } else {
-            samples = samplesOf(node, cut_.usesDraft(node), 1, context);
+            samples = samplesOf(node, cut_.usesDraft(node) & maskOf(std::uint16_t(place)), 1, context);
             if (!samples) return false;
         }
     }
@@ -77,7 +77,7 @@ bool BeamTile::locateIn(std::size_t place, const RayContext& context) {
         targets[lane] = before[lane] = 0;
         spans.begin[lane] = rays.first[lane];
         spans.end[lane] = -kNever;
-        if (!hasLane(pixels_.lanes[place].used, lane) || !(rays.depth[lane] * scale_ > 0)) continue;
+        if (hasLane(rays.located, lane) || !(rays.depth[lane] * scale_ > 0)) continue;
         const double alpha = -std::expm1(-rays.depth[lane] * scale_);
         targets[lane] = std::min(-std::log1p(-0.5 * alpha) / scale_, rays.depth[lane]);
         for (std::int32_t m = rays.last_mark; m >= 0; m = marks_[std::size_t(m)].previous) {
@@ -98,25 +98,29 @@ bool BeamTile::locateIn(std::size_t place, const RayContext& context) {
         const Mark& mark = marks_[std::size_t(in_mark[lane])];
         PacketSpans here = spans;
         const std::int32_t current = in_mark[lane];
-        for (int other = 0; other < kLanes; ++other)
-            if (in_mark[other] == current)
-                in_mark[other] = -1;
-            else
+        std::uint16_t found = 0;
+        for (int other = 0; other < kLanes; ++other) {
+            if (in_mark[other] != current) {
                 here.end[other] = -kNever;
+                continue;
+            }
+            in_mark[other] = -1;
+            addLane(found, other);
+        }
+        // What is found is kept: in a small cache two bricks of a packet may never be there at once.
         if (!findInMark(place, mark, here, targets, before, context)) return false;
+        rays.located = std::uint16_t(rays.located | found);
     }
+    rays.located = 0xffff;
     return true;
 }
 
 bool BeamTile::locate(const RayContext& context) {
     bool complete = true;
-    located_.resize(rays_.size());
     for (std::size_t p = 0; p < rays_.size(); ++p) {
-        if (located_[p]) continue;
-        const bool found = locateIn(p, context);
-        located_[p] = found;
-        complete &= found;
-        if (!found && (failed_ || context.full())) return false;
+        if (rays_[p].located == 0xffff || locateIn(p, context)) continue;
+        complete = false;
+        if (failed_ || context.full()) return false;
     }
     return complete;
 }

@@ -1,6 +1,7 @@
 #include "client/cpu/beam_tile.h"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
 
 #include "client/brick_page.h"
@@ -55,11 +56,12 @@ BeamTile::BeamTile(const RenderPlan& plan, const PixelBox& box, Cut cut)
       pixels_(packetsOf(*plan.camera, *plan.density, box)) {
     order_.kind = FrontToBack::Kind::kFromPoint;
     order_.vector = channel_.transform().inversePoint(plan.camera->eye());
-    cut_.finest = plan.quality.reference;
+    if (plan.quality.reference) cut_ = TileCut::finest();
+    assert(pixels_.packets.size() <= kMostTilePackets);
     rays_.resize(pixels_.packets.size());
     for (std::size_t p = 0; p < rays_.size(); ++p) {
         BeamRays& rays = rays_[p];
-        rays.settled = std::uint16_t(~pixels_.lanes[p].used);
+        rays.settled = rays.located = std::uint16_t(~pixels_.lanes[p].used);
         std::copy_n(pixels_.packets[p].begin, kLanes, rays.first);
         std::copy_n(pixels_.packets[p].end, kLanes, rays.last);
         std::fill_n(rays.transmittance, kLanes, 1.0);
@@ -109,8 +111,9 @@ bool BeamTile::childrenResident(const WalkedNode& node, const RayContext& contex
     return true;
 }
 
-bool BeamTile::descends(const WalkedNode& node, const RayContext& context) const {
-    return resident_ ? childrenResident(node, context) : cut_.descends(node);
+PacketMask BeamTile::descends(const WalkedNode& node, const RayContext& context) const {
+    if (resident_) return childrenResident(node, context) ? kAllPackets : 0;
+    return cut_.descends(node);
 }
 
 // What was blocked in the last pass is taken up where it stopped.
@@ -236,7 +239,8 @@ void BeamTile::visitResident(const WalkedNode& node, const RayContext& context, 
     out.errors.square_scale = (high - low) * (high - low) / 12;
 }
 
-BeamTile::Visit BeamTile::visit(const WalkedNode& node, PacketList list, const RayContext& context) {
+BeamTile::Visit BeamTile::visit(const WalkedNode& node, bool draft, PacketList list,
+                                const RayContext& context) {
     Visit out;
     if (node.status == WalkStatus::kMissingBlock) {
         if (resident_) {
@@ -263,7 +267,7 @@ BeamTile::Visit BeamTile::visit(const WalkedNode& node, PacketList list, const R
         visitResident(node, context, out);
         if (!out.samples) return out;
     } else {
-        out.draft = cut_.usesDraft(node);
+        out.draft = draft;
         // Worth: what the rays that meet it still let through.
         double worth = 0;
         for (std::uint16_t p : list)
@@ -285,8 +289,8 @@ BeamTile::Visit BeamTile::visit(const WalkedNode& node, PacketList list, const R
     return out;
 }
 
-void BeamTile::integrateNode(const WalkedNode& node, PacketList list, const RayContext& context) {
-    const Visit met = visit(node, list, context);
+void BeamTile::integrateNode(const WalkedNode& node, bool draft, PacketList list, const RayContext& context) {
+    const Visit met = visit(node, draft, list, context);
     if (failed_) return;
     BrickCells cells;
     if (met.samples) {
@@ -363,9 +367,16 @@ bool BeamTile::integrate(const RayContext& context) {
     release();
     walkPackets(
         channel_, pixels_.packets, order_,
-        [&](const WalkedNode& node) { return !failed_ && descends(node, context); },
+        [&](const WalkedNode& node) { return failed_ ? 0 : descends(node, context); },
         [&](const WalkedNode& node, PacketList list) {
-            if (!failed_) integrateNode(node, list, context);
+            if (failed_) return;
+            const PacketMask drafts = node.status == WalkStatus::kMissingBlock ? 0 : cut_.usesDraft(node);
+            std::uint16_t draft[kMostTilePackets], whole[kMostTilePackets];
+            std::size_t draft_count = 0, whole_count = 0;
+            for (std::uint16_t place : list)
+                (drafts & maskOf(place) ? draft[draft_count++] : whole[whole_count++]) = place;
+            if (draft_count > 0) integrateNode(node, true, {draft, draft_count}, context);
+            if (whole_count > 0 && !failed_) integrateNode(node, false, {whole, whole_count}, context);
         });
     return !any_blocked_ && !failed_;
 }

@@ -35,6 +35,7 @@ struct alignas(64) BeamRays {
     std::uint16_t settled = 0;                   // lanes that later cuts leave alone
     std::uint16_t stuck = 0;                     // settled, though not good enough: nothing finer could help
     std::uint8_t cut[kRays] = {};                // number of the cut that a lane's marks are of
+    std::uint16_t located = 0;                   // lanes whose `distance` is known
     std::int32_t last_mark = -1;
 };
 
@@ -49,7 +50,7 @@ public:
 
     // kAsked: what the plan's quality asks for. kResident: what can be drawn with the pages that are there.
     enum class Cut { kAsked, kResident };
-    // REQUIRES: canTrace(plan), and the box holds at most 16 * kMostPackets pixels. `plan` must outlive the
+    // REQUIRES: canTrace(plan), and the box is at most 32 x 32 pixels. `plan` must outlive the
     // tile.
     BeamTile(const RenderPlan& plan, const PixelBox& box, Cut cut);
 
@@ -92,8 +93,8 @@ private:
     enum class Phase { kIntegrate, kRefine, kLocate, kDone };
 
     bool integrate(const RayContext& context);
-    void integrateNode(const WalkedNode& node, PacketList list, const RayContext& context);
-    Visit visit(const WalkedNode& node, PacketList list, const RayContext& context);
+    void integrateNode(const WalkedNode& node, bool draft, PacketList list, const RayContext& context);
+    Visit visit(const WalkedNode& node, bool draft, PacketList list, const RayContext& context);
     void visitResident(const WalkedNode& node, const RayContext& context, Visit& out) const;
     void integratePacket(const WalkedNode& node, const Visit& visit, const BrickCells& cells,
                          std::uint16_t place, const RayContext& context);
@@ -110,7 +111,7 @@ private:
                     double* before, const RayContext& context);
 
     const float* samplesOf(const WalkedNode& node, bool draft, double worth, const RayContext& context);
-    bool descends(const WalkedNode& node, const RayContext& context) const;
+    PacketMask descends(const WalkedNode& node, const RayContext& context) const;
     bool childrenResident(const WalkedNode& node, const RayContext& context) const;
     AlphaComposite alphaOf(std::size_t place, int lane) const;
     Pixel pixelOf(std::size_t place, int lane) const;
@@ -128,8 +129,7 @@ private:
     PixelPackets pixels_;
     std::vector<BeamRays> rays_;
     std::vector<Mark> marks_;
-    std::vector<WalkedNode> nodes_;      // that marks are of
-    std::vector<std::uint8_t> located_;  // by packet: its distances are known
+    std::vector<WalkedNode> nodes_;  // that marks are of
     TileCut cut_;
     std::uint8_t cut_number_ = 0;
     Phase phase_ = Phase::kIntegrate;

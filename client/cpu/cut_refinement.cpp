@@ -38,14 +38,16 @@ public:
     bool run();
 
 private:
-    Item describe(const WalkedNode& node, PacketList list) const;
+    Item describe(const WalkedNode& node, bool draft, PacketList list) const;
     void take(const WalkedNode& node, PacketList list);
-    bool split(Item item);
-    bool needed(const Item& item) const;
-    void account(const Item& item, double sign) {
-        for (std::size_t k = 0; k < item.packets.size(); ++k)
-            for (std::size_t lane = 0; lane < kLanes; ++lane)
-                sums_[item.packets[k]][lane] += sign * double(item.error[k][lane]);
+    void take(const WalkedNode& node, bool draft, PacketList list);
+    // The packets of the item that ask for its split; they leave it.
+    std::vector<std::uint16_t> takeNeedy(Item& item);
+    void split(const WalkedNode& node, bool draft, PacketList list);
+    bool needed(const Item& item, std::size_t k) const;
+    void account(const Item& item, std::size_t k, double sign) {
+        for (std::size_t lane = 0; lane < kLanes; ++lane)
+            sums_[item.packets[k]][lane] += sign * double(item.error[k][lane]);
     }
     void wantBlock(std::uint32_t block, std::size_t rays) {
         const WantedPage page{true, {channel_.index(), block, 0}};
@@ -75,11 +77,11 @@ private:
     bool missing_ = false;
 };
 
-Item Refinement::describe(const WalkedNode& node, PacketList list) const {
+Item Refinement::describe(const WalkedNode& node, bool draft, PacketList list) const {
     Item item;
     item.node = node;
     const NodeRecord& record = node.record();
-    item.draft = record.hasBrick() && cut_.usesDraft(node);
+    item.draft = draft;
     const NodeErrors errors =
         item.draft ? errorsOfDraft(record) : errorsOfNode(record, node.block->errorGrid(node.ref.node));
     if (errors.exact()) return item;
@@ -122,49 +124,58 @@ Item Refinement::describe(const WalkedNode& node, PacketList list) const {
 
 void Refinement::take(const WalkedNode& node, PacketList list) {
     if (node.status == WalkStatus::kMissingBlock) return wantBlock(node.missing_block, list.count);
-    items_.push_back(describe(node, list));
-    account(items_.back(), 1);
-    if (items_.back().rank > 0) queue_.push({items_.back().rank, items_.size() - 1});
+    const PacketMask drafts = node.record().hasBrick() ? cut_.usesDraft(node) : 0;
+    std::uint16_t draft[kMostTilePackets], whole[kMostTilePackets];
+    std::size_t draft_count = 0, whole_count = 0;
+    for (std::uint16_t place : list)
+        (drafts & maskOf(place) ? draft[draft_count++] : whole[whole_count++]) = place;
+    if (draft_count > 0) take(node, true, {draft, draft_count});
+    if (whole_count > 0) take(node, false, {whole, whole_count});
 }
 
-// Whether a ray that meets it has too much error still, or has not been helped at all: its own sum may rest
-// on a transmittance that was better than the truth.
-bool Refinement::needed(const Item& item) const {
-    for (std::size_t k = 0; k < item.packets.size(); ++k)
-        for (int lane = 0; lane < kLanes; ++lane)
-            if (item.error[k][std::size_t(lane)] > 0 &&
-                (sums_[item.packets[k]][std::size_t(lane)] > target_ ||
-                 !hasLane(rays_[item.packets[k]].touched, lane)))
-                return true;
+void Refinement::take(const WalkedNode& node, bool draft, PacketList list) {
+    items_.push_back(describe(node, draft, list));
+    const Item& item = items_.back();
+    for (std::size_t k = 0; k < item.packets.size(); ++k) account(item, k, 1);
+    if (item.rank > 0) queue_.push({item.rank, items_.size() - 1});
+}
+
+// Whether a ray of the item's packet k has too much error still, or has not been helped at all: its own sum
+// may rest on a transmittance that was better than the truth.
+bool Refinement::needed(const Item& item, std::size_t k) const {
+    const std::uint16_t place = item.packets[k];
+    for (int lane = 0; lane < kLanes; ++lane)
+        if (item.error[k][std::size_t(lane)] > 0 &&
+            (sums_[place][std::size_t(lane)] > target_ || !hasLane(rays_[place].touched, lane)))
+            return true;
     return false;
 }
 
-// False where the children's block is missing.
-bool Refinement::split(Item item) {
-    const PacketList list{item.packets.data(), item.packets.size()};
-    if (!item.draft) {
-        const ChildrenRef children = item.node.block->children(item.node.ref.node);
-        if (!channel_.block(children.block)) {
-            wantBlock(children.block, list.count);
-            return false;
-        }
-    }
-    for (std::size_t k = 0; k < item.packets.size(); ++k)
+std::vector<std::uint16_t> Refinement::takeNeedy(Item& item) {
+    std::vector<std::uint16_t> needy;
+    for (std::size_t k = 0; k < item.packets.size(); ++k) {
+        if (!needed(item, k)) continue;
+        const std::uint16_t place = item.packets[k];
         for (int lane = 0; lane < kLanes; ++lane)
             if (item.error[k][std::size_t(lane)] > 0)
-                rays_[item.packets[k]].touched = std::uint16_t(rays_[item.packets[k]].touched | 1u << lane);
-    account(item, -1);
-    if (item.draft) {
-        cut_.whole.insert(TileCut::keyOf(item.node.ref));
-        take(item.node, list);
-        return true;
+                rays_[place].touched = std::uint16_t(rays_[place].touched | 1u << lane);
+        account(item, k, -1);
+        needy.push_back(place);
     }
-    cut_.split.insert(TileCut::keyOf(item.node.ref));
-    auto stay = [](const WalkedNode&) { return false; };
-    auto emit = [&](const WalkedNode& node, PacketList met) { take(node, met); };
-    PacketWalk<decltype(stay), decltype(emit)>(channel_, packets_, order_, stay, emit)
-        .children(item.node, list);
-    return true;
+    return needy;
+}
+
+void Refinement::split(const WalkedNode& node, bool draft, PacketList list) {
+    PacketMask mask = 0;
+    for (std::uint16_t place : list) mask |= maskOf(place);
+    if (draft) {
+        cut_.useWhole(node.ref, mask);
+        return take(node, false, list);
+    }
+    cut_.split(node.ref, mask);
+    auto stay = [](const WalkedNode&) { return PacketMask(0); };
+    auto emit = [&](const WalkedNode& child, PacketList met) { take(child, met); };
+    PacketWalk<decltype(stay), decltype(emit)>(channel_, packets_, order_, stay, emit).children(node, list);
 }
 
 bool Refinement::run() {
@@ -175,7 +186,22 @@ bool Refinement::run() {
     while (!queue_.empty()) {
         const std::size_t at = queue_.top().item;
         queue_.pop();
-        if (needed(items_[at])) split(std::move(items_[at]));
+        const WalkedNode node = items_[at].node;
+        const bool draft = items_[at].draft;
+        if (!draft) {
+            const ChildrenRef children = node.block->children(node.ref.node);
+            if (!channel_.block(children.block)) {
+                // Only if somebody asks for it.
+                for (std::size_t k = 0; k < items_[at].packets.size(); ++k)
+                    if (needed(items_[at], k)) {
+                        wantBlock(children.block, items_[at].packets.size());
+                        break;
+                    }
+                continue;
+            }
+        }
+        const std::vector<std::uint16_t> needy = takeNeedy(items_[at]);
+        if (!needy.empty()) split(node, draft, {needy.data(), needy.size()});
     }
     if (!missing_) return true;
     cut_ = before;

@@ -11,6 +11,7 @@
 
 #include "client/cpu/octree_walk.h"
 #include "client/cpu/packet_kernel.h"
+#include "client/cpu/tile_cut.h"
 
 namespace brickyard {
 
@@ -35,7 +36,6 @@ struct PacketList {
     const std::uint16_t* begin() const { return places; }
     const std::uint16_t* end() const { return places + count; }
 };
-inline constexpr std::size_t kMostPackets = 65536;
 
 template <class Descend, class Emit>
 class PacketWalk {
@@ -104,10 +104,12 @@ private:
             node.missing_block = node.ref.block;
             emit_(node, list);
         } else if (node.ref.node < node.block->nodeCount()) {  // else: a block that lies about its roots
-            if (canDescend(node) && descend_(static_cast<const WalkedNode&>(node)))
-                children(node, list);
-            else
-                emit_(node, list);
+            const PacketMask down = canDescend(node) ? descend_(static_cast<const WalkedNode&>(node)) : 0;
+            std::uint16_t stay[kMostTilePackets], go[kMostTilePackets];
+            std::size_t stays = 0, goes = 0;
+            for (std::uint16_t packet : list) (down & maskOf(packet) ? go[goes++] : stay[stays++]) = packet;
+            if (stays > 0) emit_(static_cast<const WalkedNode&>(node), PacketList{stay, stays});
+            if (goes > 0) children(node, {go, goes});
         }
     }
 
@@ -120,9 +122,10 @@ private:
     std::size_t depth_ = 0;
 };
 
-// `descend(node)` decides for each inner node that a live ray meets; `emit(node, packets)` gets the others
-// and those whose block is missing, with the packets that meet them (WalkedNode::span is not set). It may
-// shorten the packets' live parts. REQUIRES: at most kMostPackets packets.
+// `descend(node)` gives the packets that go on to the children of an inner node that a live ray meets;
+// `emit(node, packets)` gets the others, and all packets of nodes without children and of those whose block
+// is missing (WalkedNode::span is not set). It may shorten the packets' live parts. REQUIRES: at most
+// kMostTilePackets packets.
 template <class Descend, class Emit>
 void walkPackets(const PagedChannel& channel, std::span<const RayPacket> packets, const FrontToBack& order,
                  Descend descend, Emit emit) {
