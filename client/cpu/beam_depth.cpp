@@ -6,6 +6,7 @@
 
 #include "client/cpu/beam_tile.h"
 #include "client/cpu/cell_walk.h"
+#include "client/cpu/node_cells.h"
 
 namespace brickyard {
 
@@ -32,8 +33,8 @@ bool BeamTile::findInMark(std::size_t place, const Mark& mark, const PacketSpans
             if (!samples) return false;
         }
     }
-    if (samples && fitsKernel(node.record(), node.key.level)) {
-        findInBrick(packet, cellsOf(node, samples), spans, targets, before, found);
+    if (samples && fitsKernel(channel_, node.record(), node.key.level, scale_)) {
+        findInBrick(packet, cellsOf(channel_, node, samples), spans, targets, before, found);
         return true;
     }
     for (int lane = 0; lane < kLanes; ++lane) {
@@ -46,12 +47,7 @@ bool BeamTile::findInMark(std::size_t place, const Mark& mark, const PacketSpans
             found[lane] = spans.begin[lane] + part * (spans.end[lane] - spans.begin[lane]);
             continue;
         }
-        IndexRay ray;
-        for (int a = 0; a < 3; ++a) {
-            ray.origin[a] = packet.origin[a][lane];
-            ray.direction[a] = packet.direction[a][lane];
-            ray.inverse[a] = packet.inverse[a][lane];
-        }
+        const IndexRay ray = rayOf(packet, lane);
         double sum = before[lane];
         walkCells(
             samples, channel_.shape(), node.key, node.record(), ray, {spans.begin[lane], spans.end[lane]},

@@ -4,9 +4,9 @@
 #include <cassert>
 #include <cmath>
 
-#include "client/brick_page.h"
 #include "client/cpu/cell_walk.h"
 #include "client/cpu/cut_refinement.h"
+#include "client/cpu/node_cells.h"
 #include "client/cpu/node_error.h"
 
 namespace brickyard {
@@ -19,38 +19,24 @@ constexpr double kNever = std::numeric_limits<double>::infinity();
 constexpr double kOpaqueDepth = 46;
 // Relative rounding of a double sum over the cells of a node.
 constexpr double kSumRounding = 1e-12;
-// The float kernel takes bricks whose densest voxel has no more optical depth than this: its rounding then
-// stays below what a pixel of floats shows. Denser bricks are summed in double, and so are values near a
-// float's own limits.
-constexpr double kMostVoxelDepth = 16;
-constexpr double kLeastKernelValue = 1e-30, kMostKernelValue = 1e34;
 // A cut that has been made anew this often is as good as it gets; each round settles most of its rays.
 constexpr std::uint8_t kMostCuts = 12;
 
 // Buffers that every tile of a thread uses again.
 thread_local CornerQuads t_quads;
 
-IndexRay rayOf(const RayPacket& packet, int lane) {
-    IndexRay ray;
-    for (int a = 0; a < 3; ++a) {
-        ray.origin[a] = packet.origin[a][lane];
-        ray.direction[a] = packet.direction[a][lane];
-        ray.inverse[a] = packet.inverse[a][lane];
-    }
-    return ray;
-}
-
 bool inSpan(const PacketSpans& spans, int lane) { return spans.begin[lane] < spans.end[lane]; }
 
 }  // namespace
 
 bool BeamTile::canTrace(const RenderPlan& plan) {
-    return !plan.scene.light && !plan.emission && !plan.density->empty() && !(plan.density->background() > 0);
+    return !plan.emission && !plan.density->empty() && !(plan.density->background() > 0);
 }
 
-BeamTile::BeamTile(const RenderPlan& plan, const PixelBox& box, Cut cut)
+BeamTile::BeamTile(const RenderPlan& plan, LightField* light, const PixelBox& box, Cut cut)
     : plan_(plan),
       channel_(*plan.density),
+      light_(light),
       scale_(plan.scene.density_scale),
       resident_(cut == Cut::kResident),
       pixels_(packetsOf(*plan.camera, *plan.density, box)) {
@@ -65,8 +51,14 @@ BeamTile::BeamTile(const RenderPlan& plan, const PixelBox& box, Cut cut)
         std::copy_n(pixels_.packets[p].begin, kLanes, rays.first);
         std::copy_n(pixels_.packets[p].end, kLanes, rays.last);
         std::fill_n(rays.transmittance, kLanes, 1.0);
+        std::fill_n(rays.front, kLanes, 1.0);
     }
     marks_.reserve(16 * rays_.size());
+    // Where the cut is known from the start, one walk does both.
+    if (light_ && (resident_ || plan.quality.reference)) {
+        phase_ = Phase::kScatter;
+        lit_ = true;
+    }
 }
 
 BeamTile::Progress BeamTile::advance(const RayContext& context) {
@@ -75,16 +67,25 @@ BeamTile::Progress BeamTile::advance(const RayContext& context) {
         bool finished = false;
         switch (phase_) {
             case Phase::kIntegrate:
+            case Phase::kScatter:
                 finished = integrate(context);
                 if (finished)
-                    phase_ =
-                        resident_ || plan_.quality.reference || settle() ? Phase::kLocate : Phase::kRefine;
+                    phase_ = resident_ || plan_.quality.reference ? Phase::kLocate
+                             : !settle()                          ? Phase::kRefine
+                             : light_ && !lit_                    ? startScatter()
+                                                                  : Phase::kLocate;
                 break;
             case Phase::kRefine:
                 finished = refine(context);
                 if (!finished) break;
-                phase_ = allSettled() ? Phase::kLocate : Phase::kIntegrate;
-                if (phase_ == Phase::kIntegrate) startCut();
+                if (light_ && !lit_) {
+                    phase_ = startScatter();
+                } else if (allSettled()) {
+                    phase_ = Phase::kLocate;
+                } else {
+                    startCut(/*all=*/false);
+                    phase_ = light_ ? Phase::kScatter : Phase::kIntegrate;
+                }
                 break;
             case Phase::kLocate:
                 finished = locate(context);
@@ -131,20 +132,30 @@ void BeamTile::release() {
     }
 }
 
+// Light is scattered on the cut that the opacity settled for; rays that were content with less take part.
+BeamTile::Phase BeamTile::startScatter() {
+    lit_ = true;
+    startCut(/*all=*/true);
+    return Phase::kScatter;
+}
+
 // A new cut is integrated from the eye; rays that are settled keep theirs.
-void BeamTile::startCut() {
+void BeamTile::startCut(bool all) {
     ++cut_number_;
     for (std::size_t p = 0; p < rays_.size(); ++p) {
         BeamRays& rays = rays_[p];
         RayPacket& packet = pixels_.packets[p];
         for (int lane = 0; lane < kLanes; ++lane) {
-            if (hasLane(rays.settled, lane)) {
+            if (all ? !hasLane(pixels_.lanes[p].used, lane) : hasLane(rays.settled, lane)) {
                 packet.begin[lane] = kNever;
                 continue;
             }
             packet.begin[lane] = rays.first[lane];
             packet.end[lane] = rays.last[lane];
             rays.depth[lane] = rays.low[lane] = rays.high[lane] = rays.variance[lane] = 0;
+            rays.lit_variance[lane] = rays.weight[lane] = rays.shadow_deviation[lane] = 0;
+            rays.moment1[lane] = rays.moment2[lane] = 0;
+            rays.front[lane] = 1;
             rays.cut[lane] = cut_number_;
         }
     }
@@ -184,27 +195,6 @@ void BeamTile::block(std::uint16_t place, const PacketSpans& spans, double least
     }
 }
 
-BrickCells BeamTile::cellsOf(const WalkedNode& node, const float* samples) const {
-    BrickCells cells;
-    cells.samples = samples;
-    cells.edge_samples = channel_.shape().edgeSamples();
-    cells.cell_edge = cellEdge(node.key.level);
-    const glm::dvec3 low = nodeLow(node.key, channel_.shape());
-    for (std::size_t a = 0; a < 3; ++a) {
-        cells.low[a] = low[int(a)];
-        cells.box_begin[a] = node.record().box_begin[a];
-        cells.box_end[a] = node.record().box_end[a];
-    }
-    cells.negative = node.record().value_min < 0 || channel_.background() < 0;
-    return cells;
-}
-
-bool BeamTile::fitsKernel(const NodeRecord& record, int level) const {
-    const double most = std::max(std::abs(double(record.value_max)), std::abs(double(record.value_min)));
-    return most * scale_ * cellEdge(level) * channel_.transform().voxelSize() <= kMostVoxelDepth &&
-           most >= kLeastKernelValue && most <= kMostKernelValue;
-}
-
 void BeamTile::sumNode(const WalkedNode& node, const Visit& visit, const BrickCells& cells,
                        const RayPacket& packet, const PacketSpans& spans, double* sums) const {
     if (!visit.samples) {
@@ -220,6 +210,45 @@ void BeamTile::sumNode(const WalkedNode& node, const Visit& visit, const BrickCe
                       [&](const Cell& cell, const glm::dvec3& from, const glm::dvec3& to, double begin,
                           double end) { sums[lane] += meanPositive(cell, from, to) * (end - begin); });
         }
+    }
+}
+
+void BeamTile::scatterNode(const WalkedNode& node, const Visit& met, const BrickCells& cells,
+                           const RayPacket& packet, const PacketSpans& spans, PacketScatter& out) const {
+    if (met.in_kernel) {
+        LightCells light;
+        light.quads = met.light->quads.data();
+        std::copy_n(met.light->points, 3, light.points);
+        std::copy_n(met.light->per_cell, 3, light.per_cell);
+        return scatterInBrick(packet, cells, light, spans, scale_, out);
+    }
+    // One value, or a brick too dense for floats: step by step in double.
+    const glm::dvec3 low = nodeLow(node.key, channel_.shape());
+    const double cell = cellEdge(node.key.level);
+    for (int lane = 0; lane < kLanes; ++lane) {
+        out.depth[lane] = out.weight[lane] = 0;
+        out.passed[lane] = out.last[lane] = 1;
+        if (!inSpan(spans, lane)) continue;
+        const IndexRay ray = rayOf(packet, lane);
+        auto step = [&](double begin, double end, double amount) {
+            const glm::dvec3 p = (ray.origin + 0.5 * (begin + end) * ray.direction - low) / cell;
+            out.last[lane] = met.light ? met.light->at(p.x, p.y, p.z) : 1;
+            out.depth[lane] += amount;
+            const double passed = out.passed[lane] * std::exp(-amount * scale_);
+            out.weight[lane] += (out.passed[lane] - passed) * out.last[lane];
+            out.passed[lane] = passed;
+        };
+        if (met.samples) {
+            walkCells(met.samples, channel_.shape(), node.key, node.record(), ray,
+                      {spans.begin[lane], spans.end[lane]},
+                      [&](const Cell& values, const glm::dvec3& from, const glm::dvec3& to, double begin,
+                          double end) { step(begin, end, meanPositive(values, from, to) * (end - begin)); });
+            continue;
+        }
+        const int steps = met.light ? 2 * kMostLightCells : 1;
+        const double length = (spans.end[lane] - spans.begin[lane]) / steps;
+        for (int k = 0; k < steps; ++k)
+            step(spans.begin[lane] + k * length, spans.begin[lane] + (k + 1) * length, met.constant * length);
     }
 }
 
@@ -241,6 +270,22 @@ void BeamTile::visitResident(const WalkedNode& node, const RayContext& context, 
 
 BeamTile::Visit BeamTile::visit(const WalkedNode& node, bool draft, PacketList list,
                                 const RayContext& context) {
+    Visit out = visitField(node, draft, list, context);
+    if (!scatters() || node.status == WalkStatus::kMissingBlock || failed_) return out;
+    const bool empty = !node.record().hasBrick() && out.constant == 0;
+    if (resident_) {
+        out.light = light_->ready(node.ref);
+        if (!out.light) out.light = &light_->unknown();
+    } else if (!empty) {
+        // Asked for even where the brick is missing: all that a ray needs is wanted at once.
+        out.light = light_->of(node, double(list.count), context);
+        out.missing |= !out.light;
+    }
+    return out;
+}
+
+BeamTile::Visit BeamTile::visitField(const WalkedNode& node, bool draft, PacketList list,
+                                     const RayContext& context) {
     Visit out;
     if (node.status == WalkStatus::kMissingBlock) {
         if (resident_) {
@@ -278,7 +323,7 @@ BeamTile::Visit BeamTile::visit(const WalkedNode& node, bool draft, PacketList l
     }
     out.errors =
         out.draft ? errorsOfDraft(record) : errorsOfNode(record, node.block->errorGrid(node.ref.node));
-    out.in_kernel = fitsKernel(record, node.key.level);
+    out.in_kernel = fitsKernel(channel_, record, node.key.level, scale_);
     if (out.in_kernel) {
         const BrickShape shape = channel_.shape();
         const double most = std::max(double(record.value_max), -double(record.value_min));
@@ -294,7 +339,7 @@ void BeamTile::integrateNode(const WalkedNode& node, bool draft, PacketList list
     if (failed_) return;
     BrickCells cells;
     if (met.samples) {
-        cells = cellsOf(node, met.samples);
+        cells = cellsOf(channel_, node, met.samples);
         if (met.in_kernel && list.count * kLanes >= kRaysForQuads) cells.quads = t_quads.of(cells);
     }
     if (!met.missing) nodes_.push_back(node);
@@ -321,8 +366,13 @@ void BeamTile::integratePacket(const WalkedNode& node, const Visit& met, const B
             (hasLane(rays.blocked, lane) ? spans : scouts).end[lane] = -kNever;
         block(place, scouts, value_min, context);
     }
-    alignas(64) double sums[kLanes] = {}, half_width[kLanes] = {}, square[kLanes] = {};
-    sumNode(node, met, cells, packet, spans, sums);
+    alignas(64) double half_width[kLanes] = {}, square[kLanes] = {};
+    PacketScatter scattered;
+    double* sums = scattered.depth;
+    if (scatters())
+        scatterNode(node, met, cells, packet, spans, scattered);
+    else
+        sumNode(node, met, cells, packet, spans, sums);
     if (!met.errors.exact() && !met.errors.uniform)
         integrateGrid(packet, &low[0], edge, spans, met.errors.bound, met.errors.square, half_width, square);
 
@@ -339,6 +389,7 @@ void BeamTile::integratePacket(const WalkedNode& node, const Visit& met, const B
         if (!inSpan(spans, lane)) continue;
         const double length = spans.end[lane] - spans.begin[lane];
         const double sum = sums[lane], unit = pixels_.lanes[place].unit[lane];
+        double variance = 0;
         double wide = sum * kSumRounding + met.rounding * length + met.lost * unit;
         if (!met.errors.exact()) {
             wide += (met.errors.uniform ? length : half_width[lane]) * met.errors.bound_scale * kErrorSlack;
@@ -353,6 +404,20 @@ void BeamTile::integratePacket(const WalkedNode& node, const Visit& met, const B
             least =
                 std::max(least, std::min(double(record.value_min), double(channel_.background())) * length);
             most = std::min(most, std::max(double(record.value_max), 0.0) * length * (1 + kSumRounding));
+        }
+        if (light_) {
+            const double front = rays.front[lane];
+            const double passed = scatters() ? scattered.passed[lane] : std::exp(-sum * scale_);
+            rays.lit_variance[lane] += front * front * variance;
+            rays.front[lane] = front * passed;
+            if (scatters()) {
+                rays.weight[lane] += front * scattered.weight[lane];
+                if (met.light)
+                    rays.shadow_deviation[lane] += front * (1 - passed) * double(met.light->deviation);
+                const double moment = rays.front[lane] * scattered.last[lane] + rays.weight[lane];
+                rays.moment1[lane] += moment * variance;
+                rays.moment2[lane] += moment * moment * variance;
+            }
         }
         rays.depth[lane] += sum;
         rays.low[lane] += std::min(least, sum);
@@ -394,11 +459,58 @@ Pixel BeamTile::pixelOf(std::size_t place, int lane) const {
     pixel.bound_alpha = float(alpha.bound);
     pixel.estimate_alpha = float(alpha.estimate);
     pixel.depth = float(rays_[place].distance[lane]);
+    if (light_) lightPixel(place, lane, pixel);
     return pixel;
+}
+
+double BeamTile::mostScattered() const {
+    const glm::dvec3 scattered = plan_.scattered();
+    return std::max({scattered.x, scattered.y, scattered.z}) *
+           henyeyGreenstein(std::abs(plan_.scene.anisotropy), 1);
+}
+
+// docs/error-bounds.md, section "Radiance".
+void BeamTile::lightPixel(std::size_t place, int lane, Pixel& pixel) const {
+    const BeamRays& rays = rays_[place];
+    const PixelPlace at = pixels_.lanes[place].place[lane];
+    const glm::dvec3 view = plan_.camera->ray(at.x, at.y).direction;
+    const glm::dvec3 color =
+        plan_.scattered() *
+        henyeyGreenstein(plan_.scene.anisotropy, glm::dot(plan_.scene.light->to_light, view));
+    const double most = std::max({color.x, color.y, color.z});
+    const double weight = rays.weight[lane];
+    // Strict: shadows are known to lie in [0, 1] only, so the weight lies between none and all of the true
+    // alpha.
+    const double alpha_high = -std::expm1(-rays.high[lane] * scale_);
+    constexpr double kWeightRounding = 4e-6;
+    const double bound = most * (std::max(weight, alpha_high - weight) + kWeightRounding * (1 + weight));
+    // Expected: raising a node's depth adds T S and takes away what is scattered behind; shadows share their
+    // errors.
+    const double levels = std::max(0.0, rays.moment2[lane] - 2 * weight * rays.moment1[lane] +
+                                            weight * weight * rays.variance[lane]) *
+                          scale_ * scale_;
+    const double estimate =
+        most * std::sqrt(levels + rays.shadow_deviation[lane] * rays.shadow_deviation[lane]);
+    for (std::size_t c = 0; c < 3; ++c) pixel.radiance[c] = float(color[int(c)] * weight);
+    constexpr double kMost = std::numeric_limits<float>::max();
+    pixel.bound_radiance = float(std::min(bound, kMost));
+    pixel.estimate_radiance = float(std::min({estimate, bound, kMost}));
+}
+
+// Transmittance of the last cut in front of a place on the ray.
+double BeamTile::transmittanceBefore(std::size_t place, int lane, double distance) const {
+    const BeamRays& rays = rays_[place];
+    for (std::int32_t m = rays.last_mark; m >= 0; m = marks_[std::size_t(m)].previous) {
+        const Mark& mark = marks_[std::size_t(m)];
+        if (mark.cut == rays.cut[lane] && mark.end[lane] <= distance && mark.end[lane] > -kNever)
+            return std::exp(-mark.depth[lane] * scale_);
+    }
+    return 1;
 }
 
 bool BeamTile::settle() {
     const QualitySettings& quality = plan_.quality;
+    const double most_scattered = light_ ? mostScattered() : 0;
     bool all = true;
     for (std::size_t p = 0; p < rays_.size(); ++p) {
         BeamRays& rays = rays_[p];
@@ -406,7 +518,12 @@ bool BeamTile::settle() {
             if (hasLane(rays.settled, lane)) continue;
             const AlphaComposite now = alphaOf(p, lane);
             rays.transmittance[lane] = now.transmittance;
-            if (quality.strict ? now.bound <= quality.max_error : now.estimate <= quality.max_error / 3)
+            const double target = quality.max_error / 3;
+            const bool content =
+                quality.strict ? now.bound <= quality.max_error
+                               : now.estimate <= target &&
+                                     most_scattered * std::sqrt(rays.lit_variance[lane]) * scale_ <= target;
+            if (content)
                 addLane(rays.settled, lane);
             else
                 all = false;
@@ -442,7 +559,12 @@ bool BeamTile::refine(const RayContext& context) {
                                                                : rays_[p].transmittance[lane]);
         }
     }
-    if (cut_number_ >= kMostCuts || !refineCut(plan_, order_, rays, context, cut_)) {
+    LitEffect lit_effect;
+    if (light_ && !plan_.quality.strict)
+        lit_effect = [this, most = mostScattered() * scale_](std::size_t place, int lane, double distance) {
+            return most * transmittanceBefore(place, lane, distance);
+        };
+    if (cut_number_ >= kMostCuts || !refineCut(plan_, order_, rays, lit_effect, context, cut_)) {
         if (cut_number_ < kMostCuts) return false;
     }
     // A ray that no split could touch has the finest there is.

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "client/cpu/channel_ray.h"
+#include "client/cpu/light_lattice.h"
 #include "client/cpu/node_error.h"
 #include "client/cpu/packet_kernel.h"
 #include "client/cpu/packet_walk.h"
@@ -30,12 +31,18 @@ struct alignas(64) BeamRays {
     double at_least[kRays] = {};                 // of the depth, in front of a blocked ray's scout
     double resume[kRays] = {};                   // where a blocked ray goes on
     double transmittance[kRays] = {};            // of the last cut; 1 at first
-    double distance[kRays] = {};                 // to half the opacity
-    std::uint16_t blocked = 0;                   // lanes that miss a page of this pass
-    std::uint16_t settled = 0;                   // lanes that later cuts leave alone
-    std::uint16_t stuck = 0;                     // settled, though not good enough: nothing finer could help
-    std::uint8_t cut[kRays] = {};                // number of the cut that a lane's marks are of
-    std::uint16_t located = 0;                   // lanes whose `distance` is known
+    // With a light: variance weighted by the square of the transmittance in front; the single-scattered
+    // weight, the standard deviation that shadows give it, and the moments from which its variance follows
+    // (docs/error-bounds.md).
+    double lit_variance[kRays] = {};
+    double front[kRays] = {};  // transmittance so far
+    double weight[kRays] = {}, shadow_deviation[kRays] = {}, moment1[kRays] = {}, moment2[kRays] = {};
+    double distance[kRays] = {};   // to half the opacity
+    std::uint16_t blocked = 0;     // lanes that miss a page of this pass
+    std::uint16_t settled = 0;     // lanes that later cuts leave alone
+    std::uint16_t stuck = 0;       // settled, though not good enough: nothing finer could help
+    std::uint8_t cut[kRays] = {};  // number of the cut that a lane's marks are of
+    std::uint16_t located = 0;     // lanes whose `distance` is known
     std::int32_t last_mark = -1;
 };
 
@@ -50,9 +57,9 @@ public:
 
     // kAsked: what the plan's quality asks for. kResident: what can be drawn with the pages that are there.
     enum class Cut { kAsked, kResident };
-    // REQUIRES: canTrace(plan), and the box is at most 32 x 32 pixels. `plan` must outlive the
-    // tile.
-    BeamTile(const RenderPlan& plan, const PixelBox& box, Cut cut);
+    // REQUIRES: canTrace(plan), and the box is at most 32 x 32 pixels; `light` where the plan has a light. Both must
+    // outlive the tile.
+    BeamTile(const RenderPlan& plan, LightField* light, const PixelBox& box, Cut cut);
 
     // kWaiting: pages are missing, and wanted. kFailed: one of them cannot be had, and the tile is of no use.
     // A kResident tile is done at once.
@@ -89,18 +96,23 @@ private:
         bool missing = false, draft = false, in_kernel = false;
         double rounding = 0, lost = 0;  // of an integral, per length, and per ray
         NodeErrors errors;
+        const LightLattice* light = nullptr;
     };
-    enum class Phase { kIntegrate, kRefine, kLocate, kDone };
+    // kIntegrate: optical depth along the cut. kScatter: the same and the light that reaches it.
+    enum class Phase { kIntegrate, kScatter, kRefine, kLocate, kDone };
 
     bool integrate(const RayContext& context);
     void integrateNode(const WalkedNode& node, bool draft, PacketList list, const RayContext& context);
+    Phase startScatter();
+    Visit visitField(const WalkedNode& node, bool draft, PacketList list, const RayContext& context);
     Visit visit(const WalkedNode& node, bool draft, PacketList list, const RayContext& context);
     void visitResident(const WalkedNode& node, const RayContext& context, Visit& out) const;
     void integratePacket(const WalkedNode& node, const Visit& visit, const BrickCells& cells,
                          std::uint16_t place, const RayContext& context);
     void block(std::uint16_t place, const PacketSpans& spans, double least, const RayContext& context);
     void release();
-    void startCut();
+    // `all`: rays that are settled too.
+    void startCut(bool all);
     // Rays that are good enough are settled; true when all are.
     bool settle();
     bool allSettled() const;
@@ -115,14 +127,21 @@ private:
     bool childrenResident(const WalkedNode& node, const RayContext& context) const;
     AlphaComposite alphaOf(std::size_t place, int lane) const;
     Pixel pixelOf(std::size_t place, int lane) const;
-    BrickCells cellsOf(const WalkedNode& node, const float* samples) const;
-    bool fitsKernel(const NodeRecord& record, int level) const;
+    void lightPixel(std::size_t place, int lane, Pixel& pixel) const;
     // Adds a node's integral to sums.
     void sumNode(const WalkedNode& node, const Visit& visit, const BrickCells& cells, const RayPacket& packet,
                  const PacketSpans& spans, double* sums) const;
+    // The same, and what it scatters with a transmittance of 1 in front.
+    void scatterNode(const WalkedNode& node, const Visit& visit, const BrickCells& cells,
+                     const RayPacket& packet, const PacketSpans& spans, PacketScatter& out) const;
+    bool scatters() const { return phase_ == Phase::kScatter; }
+    // Largest radiance of a unit of scattered weight.
+    double mostScattered() const;
+    double transmittanceBefore(std::size_t place, int lane, double distance) const;
 
     const RenderPlan& plan_;
     const PagedChannel& channel_;
+    LightField* light_;
     double scale_;
     bool resident_;
     FrontToBack order_;
@@ -134,6 +153,7 @@ private:
     std::uint8_t cut_number_ = 0;
     Phase phase_ = Phase::kIntegrate;
     bool any_blocked_ = false, failed_ = false;
+    bool lit_ = false;  // a cut has been scattered from by every ray
 };
 
 }  // namespace brickyard

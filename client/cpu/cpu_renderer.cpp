@@ -54,6 +54,7 @@ private:
     Result<void> open();
     Result<void> pass();
     void makeTiles();
+    void makeLight();
     bool allDone() const {
         return std::all_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return tile.done(); });
     }
@@ -84,6 +85,7 @@ private:
     std::optional<PageCache> cache_;
     RenderPlan plan_;
     std::optional<RayTracer> tracer_;
+    std::optional<LightField> light_;
     std::vector<Tile> tiles_;
     WantList wants_;
     std::unordered_set<WantedPage, WantedPageHash> failed_;
@@ -144,10 +146,23 @@ Result<void> CpuPicture::open() {
     plan_.scene = *scene;
     plan_.quality = request_.quality;
     tracer_.emplace(plan_);
+    makeLight();
     outcome_.picture = Picture(request_.width, request_.height);
     outcome_.background = scene->background;
     makeTiles();
     return {};
+}
+
+// Of a pixel's standard deviation, what its shadows may make; levels of the view use the rest.
+void CpuPicture::makeLight() {
+    light_.reset();
+    if (!plan_.scene.light) return;
+    constexpr double kShadowShare = 0.4;
+    const glm::dvec3 scattered = plan_.scattered();
+    const double most = std::max({scattered.x, scattered.y, scattered.z}) *
+                        henyeyGreenstein(std::abs(plan_.scene.anisotropy), 1);
+    const double deviation = kShadowShare * plan_.quality.max_error / 3 / std::max(most, 1e-30);
+    light_.emplace(plan_, plan_.quality.reference ? 0 : std::min(deviation, 0.3));
 }
 
 void CpuPicture::makeTiles() {
@@ -163,6 +178,7 @@ bool CpuPicture::repeat() {
     std::vector<double> seconds;
     for (unsigned i = 0; i < request_.repeats; ++i) {
         makeTiles();
+        makeLight();
         outcome_.seconds_render = 0;
         do {
             if (Result<void> drawn = pass(); !drawn) return false;
@@ -263,7 +279,7 @@ void CpuPicture::traceTile(std::uint32_t index, WantList& wants) {
     if (!tile.begun) {
         tile.begun = true;
         if (!BeamTile::canTrace(plan_)) return takeAll();
-        tile.beam.emplace(plan_, tile.box, BeamTile::Cut::kAsked);
+        tile.beam.emplace(plan_, light_ ? &*light_ : nullptr, tile.box, BeamTile::Cut::kAsked);
     }
     if (tile.beam) {
         const BeamTile::Progress progress = tile.beam->advance(ray_context);
@@ -372,7 +388,7 @@ Result<bool> CpuPicture::stream() {
 // A tile that waits, from the pages that are there.
 void CpuPicture::drawResident(const Tile& tile, const RayContext& ray_context) {
     Picture& picture = outcome_.picture;
-    BeamTile beam(plan_, tile.box, BeamTile::Cut::kResident);
+    BeamTile beam(plan_, light_ ? &*light_ : nullptr, tile.box, BeamTile::Cut::kResident);
     beam.advance(ray_context);
     beam.forEachPixel([&](PixelPlace place, const Pixel& pixel) {
         picture.pixels[place.y * picture.width + place.x] = pixel;

@@ -28,8 +28,14 @@ struct Item {
 class Refinement {
 public:
     Refinement(const RenderPlan& plan, const FrontToBack& order, std::vector<CutRays>& rays,
-               const RayContext& context, TileCut& cut)
-        : plan_(plan), channel_(*plan.density), order_(order), rays_(rays), context_(context), cut_(cut) {
+               const LitEffect& lit, const RayContext& context, TileCut& cut)
+        : plan_(plan),
+          channel_(*plan.density),
+          order_(order),
+          rays_(rays),
+          lit_(lit),
+          context_(context),
+          cut_(cut) {
         const double error = plan.quality.max_error;
         target_ = plan.quality.strict ? error : error / 3 * error / 3;
         for (const CutRays& asks : rays) packets_.push_back(asks.packet);
@@ -60,6 +66,7 @@ private:
     const PagedChannel& channel_;
     const FrontToBack& order_;
     std::vector<CutRays>& rays_;
+    const LitEffect& lit_;
     const RayContext& context_;
     TileCut& cut_;
     double target_ = 0;
@@ -105,7 +112,8 @@ Item Refinement::describe(const WalkedNode& node, bool draft, PacketList list) c
             const double length = spans.end[lane] - spans.begin[lane];
             if (!(length > 0)) continue;
             if (errors.uniform) bound[lane] = square[lane] = length;
-            const double effect = rays.effect[lane];
+            double effect = rays.effect[lane];
+            if (lit_) effect = std::max(effect, lit_(list.places[k], lane, spans.begin[lane]));
             const double error =
                 strict ? bound[lane] * errors.bound_scale * effect
                        : square[lane] * errors.square_scale * rays.unit[lane] * cell * effect * effect;
@@ -212,8 +220,8 @@ bool Refinement::run() {
 }  // namespace
 
 bool refineCut(const RenderPlan& plan, const FrontToBack& order, std::vector<CutRays>& rays,
-               const RayContext& context, TileCut& cut) {
-    return Refinement(plan, order, rays, context, cut).run();
+               const LitEffect& lit, const RayContext& context, TileCut& cut) {
+    return Refinement(plan, order, rays, lit, context, cut).run();
 }
 
 }  // namespace brickyard

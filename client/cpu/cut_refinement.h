@@ -3,6 +3,7 @@
 // Deterministic.
 #pragma once
 
+#include <functional>
 #include <vector>
 
 #include "client/cpu/channel_ray.h"
@@ -20,9 +21,13 @@ struct alignas(64) CutRays {
     std::uint16_t touched = 0;             // out: lanes that meet a node that was split
 };
 
+// d(radiance) / d(integral of the field) of a lane of packet `place` at a world distance; empty where nothing
+// is lit.
+using LitEffect = std::function<double(std::size_t place, int lane, double distance)>;
+
 // Splits nodes of `cut`, worst first, until each ray's error is as plan.quality asks for or nothing is left
 // to split. False while a tree block is missing: it is wanted, and the cut is as before.
 bool refineCut(const RenderPlan& plan, const FrontToBack& order, std::vector<CutRays>& rays,
-               const RayContext& context, TileCut& cut);
+               const LitEffect& lit, const RayContext& context, TileCut& cut);
 
 }  // namespace brickyard

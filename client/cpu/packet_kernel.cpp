@@ -5,9 +5,11 @@
 #define HWY_DISABLED_TARGETS (HWY_SSSE3 | HWY_SSE4 | HWY_AVX3_DL)
 #undef HWY_TARGET_INCLUDE
 #define HWY_TARGET_INCLUDE "client/cpu/packet_kernel.cpp"
+// clang-format off: foreach_target.h includes this file again, so it comes first
 #include <hwy/foreach_target.h>
 #include <hwy/highway.h>
-
+#include <hwy/contrib/math/math-inl.h>
+// clang-format on
 #include "client/cpu/cell_walk.h"
 #include "client/cpu/packet_kernel.h"
 
@@ -410,6 +412,113 @@ HWY_ATTR void IntegrateBrick(const RayPacket& packet, const BrickCells& brick, c
         integrate<false>(packet, brick, spans, sums);
 }
 
+// Points of each ray's span where the light is looked up, and what it is there: a table with a row for each
+// point.
+struct alignas(64) LightTable {
+    float value[kMostLightCells + 1][kRays];
+};
+HWY_ATTR HWY_INLINE void lookUpLight(const LocalRays& rays, std::size_t i, const LightCells& light, int cells,
+                                     LightTable& table) {
+    const VF begin = hn::Load(kF, rays.begin + i), end = hn::Load(kF, rays.end + i);
+    const VF step = hn::Mul(hn::Sub(end, begin), hn::Set(kF, 1.0f / float(cells)));
+    const std::ptrdiff_t slice = std::ptrdiff_t(light.points[0]) * light.points[1];
+    for (int k = 0; k <= cells; ++k) {
+        const VF s = hn::MulAdd(hn::Set(kF, float(k)), step, begin);
+        VF inside[3];
+        VI index = hn::Zero(kI);
+        for (int a = 2; a >= 0; --a) {
+            const VF from_box = hn::Sub(
+                hn::MulAdd(s, hn::Load(kF, rays.direction[a] + i), hn::Load(kF, rays.position[a] + i)),
+                hn::Set(kF, float(rays.first[a] - rays.centre)));
+            const VF most = hn::Set(kF, float(light.points[a] - 2));
+            const VF at = hn::Max(hn::Mul(from_box, hn::Set(kF, light.per_cell[a])), hn::Zero(kF));
+            const VF cell = hn::Min(hn::Floor(at), most);
+            inside[a] = hn::Min(hn::Sub(at, cell), hn::Set(kF, 1.0f));
+            index = hn::Add(hn::ConvertTo(kI, cell), hn::Mul(index, hn::Set(kI, light.points[a])));
+        }
+        Corners c;
+        if constexpr (kHasBlocks) {
+            alignas(64) std::int32_t places[kRays];
+            hn::Store(index, kI, places);
+            transposeQuads(light.quads, places, c.c000, c.c100, c.c010, c.c110);
+            transposeQuads(light.quads + 4 * slice, places, c.c001, c.c101, c.c011, c.c111);
+        } else {
+            const VI four = hn::Mul(index, hn::Set(kI, 4));
+            c.c000 = hn::GatherIndex(kF, light.quads, four);
+            c.c100 = hn::GatherIndex(kF, light.quads + 1, four);
+            c.c010 = hn::GatherIndex(kF, light.quads + 2, four);
+            c.c110 = hn::GatherIndex(kF, light.quads + 3, four);
+            c.c001 = hn::GatherIndex(kF, light.quads + 4 * slice, four);
+            c.c101 = hn::GatherIndex(kF, light.quads + 4 * slice + 1, four);
+            c.c011 = hn::GatherIndex(kF, light.quads + 4 * slice + 2, four);
+            c.c111 = hn::GatherIndex(kF, light.quads + 4 * slice + 3, four);
+        }
+        const VF x00 = lerp(c.c000, hn::Sub(c.c100, c.c000), inside[0]),
+                 x10 = lerp(c.c010, hn::Sub(c.c110, c.c010), inside[0]);
+        const VF x01 = lerp(c.c001, hn::Sub(c.c101, c.c001), inside[0]),
+                 x11 = lerp(c.c011, hn::Sub(c.c111, c.c011), inside[0]);
+        const VF y0 = lerp(x00, hn::Sub(x10, x00), inside[1]), y1 = lerp(x01, hn::Sub(x11, x01), inside[1]);
+        hn::Store(lerp(y0, hn::Sub(y1, y0), inside[2]), kF, table.value[k] + i);
+    }
+}
+
+template <bool kQuads>
+HWY_ATTR void scatter(const RayPacket& packet, const BrickCells& brick, const LightCells& light,
+                      const PacketSpans& spans, double scale, PacketScatter& out) {
+    for (std::size_t k = 0; k < kRays; ++k) {
+        out.depth[k] = out.weight[k] = 0;
+        out.passed[k] = out.last[k] = 1;
+    }
+    int cells = 1;
+    for (int points : light.points) cells = points - 1 > cells ? points - 1 : cells;
+    forBrick(packet, brick, spans, [&](const LocalRays& rays, std::size_t i) HWY_ATTR {
+        LightTable table;
+        lookUpLight(rays, i, light, cells, table);
+        alignas(64) float factors[kRays], partial[kRays];
+        for (std::size_t k = 0; k < hn::Lanes(kF); ++k) factors[k] = float(-scale * rays.unit[i + k]);
+        const VF factor = hn::Load(kF, factors), begin = hn::Load(kF, rays.begin + i);
+        const VF span = hn::Max(hn::Sub(hn::Load(kF, rays.end + i), begin), hn::Set(kF, 1e-20f));
+        const VF per_s = hn::Div(hn::Set(kF, float(cells)), span);
+        const VF half = hn::Set(kF, 0.5f), most = hn::Set(kF, float(cells - 1));
+        const VI lane = hn::Iota(kI, std::int32_t(i));
+        VF sum = hn::Zero(kF), lost = hn::Zero(kF), weight = hn::Zero(kF), transmittance = hn::Set(kF, 1.0f);
+        walkBrick<kQuads>(rays, i, brick, [&](const Step& step, VF amount) HWY_ATTR {
+            const VF add = hn::Sub(amount, lost);
+            const VF total = hn::Add(sum, add);
+            lost = hn::Sub(hn::Sub(total, sum), add);
+            sum = total;
+            const VF at = hn::Mul(hn::Sub(hn::MulAdd(step.length, half, step.begin), begin), per_s);
+            const VF row = hn::Max(hn::Min(hn::Floor(at), most), hn::Zero(kF));
+            const VI place = hn::Add(hn::ShiftLeft<4>(hn::ConvertTo(kI, row)), lane);
+            const VF from = hn::GatherIndex(kF, table.value[0], place),
+                     to = hn::GatherIndex(kF, table.value[1], place);
+            const VF lit = lerp(from, hn::Sub(to, from), hn::Sub(at, row));
+            const VF next = hn::Mul(transmittance, hn::Exp(kF, hn::Mul(amount, factor)));
+            weight = hn::MulAdd(hn::Sub(transmittance, next), lit, weight);
+            transmittance = next;
+            return hn::Eq(sum, sum);
+        });
+        alignas(64) float weighted[kRays], passed[kRays];
+        hn::Store(sum, kF, partial);
+        hn::Store(weight, kF, weighted);
+        hn::Store(transmittance, kF, passed);
+        for (std::size_t k = 0; k < hn::Lanes(kF); ++k) {
+            if (!(rays.begin[i + k] < rays.end[i + k])) continue;
+            out.depth[i + k] = double(partial[k]) * rays.unit[i + k];
+            out.weight[i + k] = double(weighted[k]);
+            out.passed[i + k] = double(passed[k]);
+            out.last[i + k] = double(table.value[cells][i + k]);
+        }
+    });
+}
+HWY_ATTR void ScatterInBrick(const RayPacket& packet, const BrickCells& brick, const LightCells& light,
+                             const PacketSpans& spans, double scale, PacketScatter& out) {
+    if (brick.quads)
+        scatter<true>(packet, brick, light, spans, scale, out);
+    else
+        scatter<false>(packet, brick, light, spans, scale, out);
+}
+
 HWY_ATTR void FindInBrick(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
                           const double* targets, double* sums, double* found) {
     forBrick(packet, brick, spans, [&](const LocalRays& rays, std::size_t i) HWY_ATTR {
@@ -474,6 +583,7 @@ HWY_EXPORT(ClipPackets);
 HWY_EXPORT(ClipPacket);
 HWY_EXPORT(IntegrateBrick);
 HWY_EXPORT(FindInBrick);
+HWY_EXPORT(ScatterInBrick);
 HWY_EXPORT(IntegrateGrid);
 HWY_EXPORT(TargetName);
 
@@ -487,6 +597,10 @@ void clipPacket(const RayPacket& packet, const double low[3], const double high[
 void integrateBrick(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
                     double* sums) {
     HWY_DYNAMIC_DISPATCH(IntegrateBrick)(packet, brick, spans, sums);
+}
+void scatterInBrick(const RayPacket& packet, const BrickCells& brick, const LightCells& light,
+                    const PacketSpans& spans, double scale, PacketScatter& out) {
+    HWY_DYNAMIC_DISPATCH(ScatterInBrick)(packet, brick, light, spans, scale, out);
 }
 void findInBrick(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
                  const double* targets, double* sums, double* found) {

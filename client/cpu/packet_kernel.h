@@ -62,6 +62,28 @@ inline constexpr double kPositionRounding = 1.5 / 16 * 0x1p-20;
 inline constexpr double kSampleRounding = 12 * 0x1p-24;
 inline constexpr double kLostLength = 0x1p-18;
 
+// A light's transmittance over the box of a brick, on a lattice (see light_lattice.h).
+struct LightCells {
+    const float* quads = nullptr;
+    int points[3] = {};
+    float per_cell[3] = {};  // lattice cells per cell of the brick
+};
+inline constexpr int kMostLightCells = 16;  // along an axis of the lattice
+
+// What rays make of a brick that is lit.
+struct alignas(64) PacketScatter {
+    double depth[RayPacket::kRays] = {};  // integral of the field, in front of the density scale
+    double weight[RayPacket::kRays] =
+        {};                           // integral of T x S over optical depth; T is 1 where the span begins
+    double passed[RayPacket::kRays];  // T where it ends
+    double last[RayPacket::kRays];    // S there
+};
+// As integrateBrick(), with S the light's transmittance: linear between as many points of the span as the
+// lattice has along its longest axis. `scale` turns the field's integral into optical depth. Fills in all of
+// `out`; rays without a span have depth and weight 0, passed 1 and last 1.
+void scatterInBrick(const RayPacket& packet, const BrickCells& brick, const LightCells& light,
+                    const PacketSpans& spans, double scale, PacketScatter& out);
+
 // Where the integral reaches targets[i], given sums[i] at the begin of the span; linear within a cell. Leaves
 // found[i] alone where it does not. Adds to sums[i] as integrateBrick() does.
 void findInBrick(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,

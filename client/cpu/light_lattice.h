@@ -1,0 +1,54 @@
+// How much of a directional light reaches a node of the octree: transmittances on a regular lattice over the
+// node's tight box, interpolated in between. One lattice serves every view ray that meets the node, so a
+// shadow costs a few rays per brick instead of one per step. Spacing follows from the error asked for: a
+// lattice is doubled until it agrees with its own half. docs/error-bounds.md, section "Shadows".
+#pragma once
+
+#include <memory>
+#include <mutex>
+#include <unordered_map>
+#include <vector>
+
+#include "client/cpu/channel_ray.h"
+#include "client/cpu/render_plan.h"
+
+namespace brickyard {
+
+struct LightLattice {
+    int points[3] = {};        // per axis
+    int box_begin[3] = {};     // of the node's cells
+    float per_cell[3] = {};    // lattice cells per cell of the node
+    std::vector<float> quads;  // transmittances as CornerQuads has samples, points[0] * points[1] to a slice
+    float deviation = 0;       // standard deviation of what is interpolated: spacing, levels and drafts
+    // Interpolated at a position in cells of the node.
+    double at(double x, double y, double z) const;
+};
+
+// The lattices of a picture, made when a ray first asks for one. Any thread may call.
+class LightField {
+public:
+    // `deviation` of a shadow that is allowed; 0: exact levels, and kReferenceDeviation of interpolation.
+    // REQUIRES: plan.scene.light. `plan` must outlive the field.
+    LightField(const RenderPlan& plan, double deviation);
+    ~LightField();
+    static constexpr double kReferenceDeviation = 1e-4;
+
+    // The node's lattice, or nullptr while pages are missing; those are wanted. Valid as long as the field.
+    const LightLattice* of(const WalkedNode& node, double worth, const RayContext& context);
+    // The same without making it.
+    const LightLattice* ready(const NodeRef& node) const;
+    // What stands for a lattice that is not ready: half-lit, give or take all of it.
+    const LightLattice& unknown() const { return unknown_; }
+    std::uint64_t bytes() const;
+
+private:
+    struct Entry;
+    Entry& entryOf(const NodeRef& node);
+    const RenderPlan& plan_;
+    double deviation_;
+    LightLattice unknown_;
+    mutable std::mutex mutex_;
+    std::unordered_map<std::uint64_t, std::unique_ptr<Entry>> entries_;
+};
+
+}  // namespace brickyard
