@@ -153,7 +153,8 @@ void BeamTile::startCut(bool all) {
             packet.begin[lane] = rays.first[lane];
             packet.end[lane] = rays.last[lane];
             rays.depth[lane] = rays.low[lane] = rays.high[lane] = rays.variance[lane] = 0;
-            rays.lit_variance[lane] = rays.weight[lane] = rays.shadow_deviation[lane] = 0;
+            rays.lit_variance[lane] = rays.weight[lane] = 0;
+            rays.shadow_deviation[lane] = rays.shadow_variance[lane] = 0;
             rays.moment1[lane] = rays.moment2[lane] = 0;
             rays.front[lane] = 1;
             rays.cut[lane] = cut_number_;
@@ -232,7 +233,7 @@ void BeamTile::scatterNode(const WalkedNode& node, const Visit& met, const Brick
         const IndexRay ray = rayOf(packet, lane);
         auto step = [&](double begin, double end, double amount) {
             const glm::dvec3 p = (ray.origin + 0.5 * (begin + end) * ray.direction - low) / cell;
-            out.last[lane] = met.light ? met.light->at(p.x, p.y, p.z) : 1;
+            out.last[lane] = met.light ? met.light->transmittance(p.x, p.y, p.z) : 1;
             out.depth[lane] += amount;
             const double passed = out.passed[lane] * std::exp(-amount * scale_);
             out.weight[lane] += (out.passed[lane] - passed) * out.last[lane];
@@ -412,8 +413,11 @@ void BeamTile::integratePacket(const WalkedNode& node, const Visit& met, const B
             rays.front[lane] = front * passed;
             if (scatters()) {
                 rays.weight[lane] += front * scattered.weight[lane];
-                if (met.light)
-                    rays.shadow_deviation[lane] += front * (1 - passed) * double(met.light->deviation);
+                if (met.light) {
+                    const double reached = front * (1 - passed);
+                    rays.shadow_deviation[lane] += reached * double(met.light->deviation);
+                    rays.shadow_variance[lane] += std::pow(reached * double(met.light->spacing_deviation), 2);
+                }
                 const double moment = rays.front[lane] * scattered.last[lane] + rays.weight[lane];
                 rays.moment1[lane] += moment * variance;
                 rays.moment2[lane] += moment * moment * variance;
@@ -490,7 +494,8 @@ void BeamTile::lightPixel(std::size_t place, int lane, Pixel& pixel) const {
                                             weight * weight * rays.variance[lane]) *
                           scale_ * scale_;
     const double estimate =
-        most * std::sqrt(levels + rays.shadow_deviation[lane] * rays.shadow_deviation[lane]);
+        most * std::sqrt(levels + rays.shadow_deviation[lane] * rays.shadow_deviation[lane] +
+                         rays.shadow_variance[lane]);
     for (std::size_t c = 0; c < 3; ++c) pixel.radiance[c] = float(color[int(c)] * weight);
     constexpr double kMost = std::numeric_limits<float>::max();
     pixel.bound_radiance = float(std::min(bound, kMost));

@@ -36,7 +36,8 @@ struct alignas(64) BeamRays {
     // (docs/error-bounds.md).
     double lit_variance[kRays] = {};
     double front[kRays] = {};  // transmittance so far
-    double weight[kRays] = {}, shadow_deviation[kRays] = {}, moment1[kRays] = {}, moment2[kRays] = {};
+    double weight[kRays] = {}, shadow_deviation[kRays] = {}, shadow_variance[kRays] = {}, moment1[kRays] = {},
+           moment2[kRays] = {};
     double distance[kRays] = {};   // to half the opacity
     std::uint16_t blocked = 0;     // lanes that miss a page of this pass
     std::uint16_t settled = 0;     // lanes that later cuts leave alone
@@ -57,8 +58,8 @@ public:
 
     // kAsked: what the plan's quality asks for. kResident: what can be drawn with the pages that are there.
     enum class Cut { kAsked, kResident };
-    // REQUIRES: canTrace(plan), and the box is at most 32 x 32 pixels; `light` where the plan has a light. Both must
-    // outlive the tile.
+    // REQUIRES: canTrace(plan), and the box is at most 32 x 32 pixels; `light` where the plan has a light.
+    // Both must outlive the tile.
     BeamTile(const RenderPlan& plan, LightField* light, const PixelBox& box, Cut cut);
 
     // kWaiting: pages are missing, and wanted. kFailed: one of them cannot be had, and the tile is of no use.

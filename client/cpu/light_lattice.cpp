@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <deque>
+#include <numbers>
 
 #include "client/cpu/shadow_beam.h"
 
@@ -11,16 +12,18 @@ namespace brickyard {
 namespace {
 
 // Lattice cells along a node's edge: at first, and at most (a point for each sample of a brick of 16 cells).
-constexpr int kFirstCells = 4, kMostCells = 16;
+constexpr int kFirstCells = 2, kMostCells = 16;
 // Interpolation errs in proportion to the square of the spacing, so a lattice is off by a third of what it
 // differs from its half.
 constexpr double kOfHalf = 1.0 / 3;
 // Share of the allowed variance of a shadow that levels and drafts on the light's way may take.
 constexpr double kLevelShare = 0.5;
+// A ray meets several bricks, whose interpolation errs independently.
+constexpr double kSpacingAllowance = 2;
 
 }  // namespace
 
-double LightLattice::at(double x, double y, double z) const {
+double LightLattice::transmittance(double x, double y, double z) const {
     const double place[3] = {x, y, z};
     int cell[3];
     double inside[3];
@@ -36,7 +39,7 @@ double LightLattice::at(double x, double y, double z) const {
         const double high = double(quad[2]) + (double(quad[3]) - double(quad[2])) * inside[0];
         plane[k] = low + (high - low) * inside[1];
     }
-    return plane[0] + (plane[1] - plane[0]) * inside[2];
+    return std::exp(-(plane[0] + (plane[1] - plane[0]) * inside[2]));
 }
 
 // A lattice while it is made.
@@ -86,8 +89,8 @@ void LightField::Entry::start(const RenderPlan& plan, double deviation, const Wa
     flush();
 }
 
-// Fills in the quads from the beams. `difference`: mean square of what every second point misses of the
-// others.
+// Fills in the quads from the beams. `difference`: mean square of what every second point
+// misses of the others, as a transmittance.
 void LightField::Entry::gather(double& difference, double& variance) {
     const int nx = lattice.points[0], ny = lattice.points[1], nz = lattice.points[2];
     std::vector<float> values;
@@ -95,9 +98,8 @@ void LightField::Entry::gather(double& difference, double& variance) {
     for (int i = 0; i < nx * ny * nz; ++i) {
         const ShadowBeam& beam = beams[std::size_t(i) / ShadowBeam::kMostPoints];
         const std::size_t point = std::size_t(i) % ShadowBeam::kMostPoints;
-        const double lit = beam.transmittance(point);
-        values.push_back(float(lit));
-        variance = std::max(variance, lit * lit * beam.variance(point));
+        values.push_back(float(beam.depth(point)));
+        variance = std::max(variance, std::exp(-2 * beam.depth(point)) * beam.variance(point));
     }
     auto at = [&](int x, int y, int z) {
         return values[std::size_t(std::min(x, nx - 1) +
@@ -115,9 +117,11 @@ void LightField::Entry::gather(double& difference, double& variance) {
                     mean += 0.125 * double(at((k & 1) ? (x + 1) / 2 * 2 : x / 2 * 2,
                                               (k & 2) ? (y + 1) / 2 * 2 : y / 2 * 2,
                                               (k & 4) ? (z + 1) / 2 * 2 : z / 2 * 2));
-                squares = std::max(squares, std::pow(mean - double(at(x, y, z)), 2));
+                squares += std::pow(std::exp(-mean) - std::exp(-double(at(x, y, z))), 2);
             }
-    difference = squares;
+    // The points of the half itself differ by nothing: the rest is what tells.
+    const int half = (nx / 2 + 1) * (ny / 2 + 1) * (nz / 2 + 1);
+    difference = squares / std::max(1, nx * ny * nz - half);
 }
 
 LightField::LightField(const RenderPlan& plan, double deviation) : plan_(plan), deviation_(deviation) {
@@ -125,7 +129,7 @@ LightField::LightField(const RenderPlan& plan, double deviation) : plan_(plan), 
         unknown_.points[a] = 2;
         unknown_.per_cell[a] = 1.0f / float(plan.density->shape().edge_cells);
     }
-    unknown_.quads.assign(4 * 8, 0.5f);
+    unknown_.quads.assign(4 * 8, float(std::numbers::ln2));
     unknown_.deviation = 0.5f;
 }
 LightField::~LightField() = default;
@@ -142,7 +146,7 @@ const LightLattice* LightField::of(const WalkedNode& node, double worth, const R
     const std::lock_guard lock(entry.mutex);
     if (entry.done) return &entry.lattice;
     const double levels = deviation_ * std::sqrt(kLevelShare);
-    const double spacing = deviation_ > 0 ? deviation_ * std::sqrt(1 - kLevelShare) : kReferenceDeviation;
+    const double spacing = deviation_ > 0 ? kSpacingAllowance * deviation_ : kReferenceDeviation;
     const int most = std::min(kMostCells, plan_.density->shape().edge_cells);
     if (entry.beams.empty()) entry.start(plan_, levels, node);
     for (;;) {
@@ -153,7 +157,8 @@ const LightLattice* LightField::of(const WalkedNode& node, double worth, const R
         double difference = 0, variance = 0;
         entry.gather(difference, variance);
         const double interpolated = kOfHalf * std::sqrt(difference);
-        entry.lattice.deviation = float(std::min(1.0, std::sqrt(interpolated * interpolated + variance)));
+        entry.lattice.deviation = float(std::min(1.0, std::sqrt(variance)));
+        entry.lattice.spacing_deviation = float(std::min(1.0, interpolated));
         if (interpolated <= spacing || entry.cells >= most) break;
         entry.cells *= 2;
         entry.start(plan_, levels, node);

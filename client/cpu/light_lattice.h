@@ -1,7 +1,8 @@
-// How much of a directional light reaches a node of the octree: transmittances on a regular lattice over the
-// node's tight box, interpolated in between. One lattice serves every view ray that meets the node, so a
-// shadow costs a few rays per brick instead of one per step. Spacing follows from the error asked for: a
-// lattice is doubled until it agrees with its own half. docs/error-bounds.md, section "Shadows".
+// How much of a directional light reaches a node of the octree: optical depths on a regular lattice over the
+// node's tight box, interpolated in between (depths, not transmittances: those fall like exponentials, and
+// would come out too bright). One lattice serves every view ray that meets the node, so a shadow costs a few
+// rays per brick instead of one per step. Spacing follows from the error asked for: a lattice is doubled
+// until it agrees with its own half. docs/error-bounds.md, section "Shadows".
 #pragma once
 
 #include <memory>
@@ -18,16 +19,19 @@ struct LightLattice {
     int points[3] = {};        // per axis
     int box_begin[3] = {};     // of the node's cells
     float per_cell[3] = {};    // lattice cells per cell of the node
-    std::vector<float> quads;  // transmittances as CornerQuads has samples, points[0] * points[1] to a slice
-    float deviation = 0;       // standard deviation of what is interpolated: spacing, levels and drafts
-    // Interpolated at a position in cells of the node.
-    double at(double x, double y, double z) const;
+    std::vector<float> quads;  // optical depths as CornerQuads has samples, points[0] * points[1] to a slice
+    // Standard deviations of what is interpolated: from levels and drafts on the way to the light, which
+    // neighbours share; and from the lattice's spacing, which changes sign from cell to cell.
+    float deviation = 0, spacing_deviation = 0;
+    // At a position in cells of the node.
+    double transmittance(double x, double y, double z) const;
 };
 
 // The lattices of a picture, made when a ray first asks for one. Any thread may call.
 class LightField {
 public:
-    // `deviation` of a shadow that is allowed; 0: exact levels, and kReferenceDeviation of interpolation.
+    // `deviation` of a shadow that is allowed (of its interpolation: twice that); 0: exact levels, and
+    // kReferenceDeviation of interpolation.
     // REQUIRES: plan.scene.light. `plan` must outlive the field.
     LightField(const RenderPlan& plan, double deviation);
     ~LightField();

@@ -412,8 +412,8 @@ HWY_ATTR void IntegrateBrick(const RayPacket& packet, const BrickCells& brick, c
         integrate<false>(packet, brick, spans, sums);
 }
 
-// Points of each ray's span where the light is looked up, and what it is there: a table with a row for each
-// point.
+// Points of each ray's span where the light is looked up, and the optical depth to it from there: a table
+// with a row for each point.
 struct alignas(64) LightTable {
     float value[kMostLightCells + 1][kRays];
 };
@@ -492,7 +492,7 @@ HWY_ATTR void scatter(const RayPacket& packet, const BrickCells& brick, const Li
             const VI place = hn::Add(hn::ShiftLeft<4>(hn::ConvertTo(kI, row)), lane);
             const VF from = hn::GatherIndex(kF, table.value[0], place),
                      to = hn::GatherIndex(kF, table.value[1], place);
-            const VF lit = lerp(from, hn::Sub(to, from), hn::Sub(at, row));
+            const VF lit = hn::Exp(kF, hn::Neg(lerp(from, hn::Sub(to, from), hn::Sub(at, row))));
             const VF next = hn::Mul(transmittance, hn::Exp(kF, hn::Mul(amount, factor)));
             weight = hn::MulAdd(hn::Sub(transmittance, next), lit, weight);
             transmittance = next;
@@ -507,7 +507,7 @@ HWY_ATTR void scatter(const RayPacket& packet, const BrickCells& brick, const Li
             out.depth[i + k] = double(partial[k]) * rays.unit[i + k];
             out.weight[i + k] = double(weighted[k]);
             out.passed[i + k] = double(passed[k]);
-            out.last[i + k] = double(table.value[cells][i + k]);
+            out.last[i + k] = std::exp(-double(table.value[cells][i + k]));
         }
     });
 }

@@ -78,9 +78,9 @@ struct alignas(64) PacketScatter {
     double passed[RayPacket::kRays];  // T where it ends
     double last[RayPacket::kRays];    // S there
 };
-// As integrateBrick(), with S the light's transmittance: linear between as many points of the span as the
-// lattice has along its longest axis. `scale` turns the field's integral into optical depth. Fills in all of
-// `out`; rays without a span have depth and weight 0, passed 1 and last 1.
+// As integrateBrick(), with S the light's transmittance: its optical depth is linear between as many
+// points of the span as the lattice has along its longest axis. `scale` turns the field's integral into
+// optical depth. Fills in all of `out`; rays without a span have depth and weight 0, passed 1 and last 1.
 void scatterInBrick(const RayPacket& packet, const BrickCells& brick, const LightCells& light,
                     const PacketSpans& spans, double scale, PacketScatter& out);
 

@@ -165,8 +165,8 @@ bool ShadowBeam::advance(double worth, const RayContext& context) {
     return !any_blocked_;
 }
 
-double ShadowBeam::transmittance(std::size_t point) const {
-    return std::exp(-rays_[point / kLanes].depth[point % kLanes] * scale_);
+double ShadowBeam::depth(std::size_t point) const {
+    return rays_[point / kLanes].depth[point % kLanes] * scale_;
 }
 
 double ShadowBeam::variance(std::size_t point) const {

@@ -22,7 +22,7 @@ public:
     // True when all depths are known; until then pages are wanted, worth `worth`.
     bool advance(double worth, const RayContext& context);
     // REQUIRES: advance() was true.
-    double transmittance(std::size_t point) const;
+    double depth(std::size_t point) const;
     double variance(std::size_t point) const;  // of the optical depth
 
 private:
