@@ -3,6 +3,7 @@
 #include <ImfChannelList.h>
 #include <ImfFrameBuffer.h>
 #include <ImfHeader.h>
+#include <ImfInputFile.h>
 #include <ImfOutputFile.h>
 #include <fmt/format.h>
 #include <png.h>
@@ -36,6 +37,16 @@ const std::array<Layer, 9>& layers() {
     return all;
 }
 
+constexpr std::size_t kAlphaLayer = 3;
+constexpr std::int64_t kMostPixels = std::int64_t(1) << 28;
+
+float& valueOf(Pixel& pixel, std::size_t layer) {
+    return *reinterpret_cast<float*>(reinterpret_cast<char*>(&pixel) + layers()[layer].offset);
+}
+float valueOf(const Pixel& pixel, std::size_t layer) {
+    return *reinterpret_cast<const float*>(reinterpret_cast<const char*>(&pixel) + layers()[layer].offset);
+}
+
 // IEC 61966-2-1.
 std::uint8_t encodeSrgb(float linear) {
     const float v = std::clamp(linear, 0.0f, 1.0f);
@@ -60,6 +71,62 @@ Result<void> writeThenRename(const std::filesystem::path& file, Write&& write) {
 }
 
 }  // namespace
+
+Picture boxFiltered(const Picture& picture, std::uint32_t edge) {
+    Picture out(picture.width / edge, picture.height / edge);
+    const double part = 1.0 / (double(edge) * double(edge));
+    for (std::uint32_t y = 0; y < out.height; ++y)
+        for (std::uint32_t x = 0; x < out.width; ++x) {
+            double sums[9] = {}, depth = 0;
+            for (std::uint32_t j = 0; j < edge; ++j)
+                for (std::uint32_t i = 0; i < edge; ++i) {
+                    const Pixel& from =
+                        picture.pixels[std::size_t(y * edge + j) * picture.width + x * edge + i];
+                    for (std::size_t k = 0; k < layers().size(); ++k) sums[k] += double(valueOf(from, k));
+                    depth += double(from.alpha) * double(from.depth);
+                }
+            Pixel& to = out.pixels[std::size_t(y) * out.width + x];
+            const double alpha = sums[kAlphaLayer];
+            for (std::size_t k = 0; k < layers().size(); ++k) valueOf(to, k) = float(sums[k] * part);
+            to.depth = alpha > 0 ? float(depth / alpha) : 0;
+        }
+    return out;
+}
+
+Result<Picture> readExr(const std::filesystem::path& file) {
+    std::error_code ignored;
+    if (!std::filesystem::is_regular_file(file, ignored))
+        return fail(ErrorCode::kNotFound, fmt::format("{}: no such file", file.string()));
+    try {
+        Imf::InputFile in(file.c_str());
+        const auto window = in.header().dataWindow();
+        const std::int64_t width = std::int64_t(window.max.x) - window.min.x + 1;
+        const std::int64_t height = std::int64_t(window.max.y) - window.min.y + 1;
+        if (width < 1 || height < 1 || width > kMostPixels / height)
+            return fail(ErrorCode::kCorrupt, fmt::format("{}: is {} x {} pixels; at most 2^28 can be read",
+                                                         file.string(), width, height));
+        for (const char* name : {"R", "G", "B"})
+            if (!in.header().channels().findChannel(name))
+                return fail(ErrorCode::kCorrupt,
+                            fmt::format("{}: has no channel {}; give a picture with R, G and B",
+                                        file.string(), name));
+        Picture picture{std::uint32_t(width), std::uint32_t(height)};
+        Imf::FrameBuffer frame;
+        for (std::size_t k = 0; k < layers().size(); ++k) {
+            // OpenEXR counts from the pixel (0, 0) of the data window's coordinates, wherever that is.
+            char* base = reinterpret_cast<char*>(picture.pixels.data()) + layers()[k].offset;
+            base -= (std::int64_t(window.min.y) * width + window.min.x) * std::int64_t(sizeof(Pixel));
+            frame.insert(layers()[k].name,
+                         Imf::Slice(Imf::FLOAT, base, sizeof(Pixel), sizeof(Pixel) * std::size_t(width), 1, 1,
+                                    k == kAlphaLayer ? 1.0 : 0.0));
+        }
+        in.setFrameBuffer(frame);
+        in.readPixels(window.min.y, window.max.y);
+        return picture;
+    } catch (const std::exception& e) {
+        return fail(ErrorCode::kCorrupt, fmt::format("{}: cannot be read: {}", file.string(), e.what()));
+    }
+}
 
 Result<void> writeExr(const Picture& picture, const std::filesystem::path& file) {
     return writeThenRename(file, [&](const std::filesystem::path& temporary) -> Result<void> {

@@ -30,9 +30,16 @@ struct Picture {
     Picture(std::uint32_t w, std::uint32_t h) : width(w), height(h), pixels(std::size_t(w) * h) {}
 };
 
+// Each `edge` x `edge` pixels become their mean: a box filter. Means of bounds and estimates are bounds and
+// (cautious) estimates of the mean; depth is weighted by alpha. REQUIRES: `edge` divides width and height.
+Picture boxFiltered(const Picture& picture, std::uint32_t edge);
+
 // Float32 EXR with channels R G B A Z errorBound.A errorBound.RGB errorEstimate.A errorEstimate.RGB. Errors:
 // kIo.
 Result<void> writeExr(const Picture& picture, const std::filesystem::path& file);
+// Any scan-line EXR with at least R G B; its other channels where they have our names. Alpha is 1 where the
+// file has none. Errors: kNotFound, kCorrupt (no EXR, damaged, no R G B, more than 2^28 pixels).
+Result<Picture> readExr(const std::filesystem::path& file);
 // 8 bits, composed over `background` (linear RGB), sRGB-encoded, opaque. Errors: kIo.
 Result<void> writePng(const Picture& picture, const std::array<float, 3>& background,
                       const std::filesystem::path& file);

@@ -96,6 +96,22 @@ Result<double> positive(double value, const char* name) {
     return value;
 }
 
+// world = M * (index + offset), for every channel. A transform that is none is refused when its channel is
+// opened.
+Result<void> offsetSamples(const Medium& medium, FrameFooter& frame) {
+    const Result<glm::dvec3> offset = vectorOf(medium.sample_offset(), glm::dvec3(0), "medium.sample_offset");
+    if (!offset) return tl::unexpected(offset.error());
+    if (*offset == glm::dvec3(0)) return {};
+    for (ChannelFooter& channel : *frame.mutable_channels()) {
+        auto& columns = *channel.mutable_index_to_world();
+        if (columns.size() != 16) continue;
+        for (int row = 0; row < 3; ++row)
+            for (int axis = 0; axis < 3; ++axis)
+                columns[12 + row] += columns[4 * axis + row] * (*offset)[axis];
+    }
+    return {};
+}
+
 }  // namespace
 
 Result<Scene> readScene(const std::string& text_or_file) { return readJson<Scene>(text_or_file, "scene"); }
@@ -104,13 +120,14 @@ Result<Camera> readCamera(const std::string& text_or_file) {
     return readJson<Camera>(text_or_file, "camera");
 }
 
-Result<SceneSettings> bindScene(const Scene& scene, const FrameFooter& frame) {
+Result<SceneSettings> bindScene(const Scene& scene, FrameFooter& frame) {
     SceneSettings settings;
     const Medium& medium = scene.medium();
     const Result<std::uint32_t> density =
         medium.density().empty() ? defaultDensity(frame) : findChannel(frame, medium.density(), "density");
     if (!density) return tl::unexpected(density.error());
     settings.density_channel = *density;
+    if (Result<void> offset = offsetSamples(medium, frame); !offset) return tl::unexpected(offset.error());
 
     const Result<double> scale = positive(medium.density_scale(), "medium.density_scale");
     if (!scale) return tl::unexpected(scale.error());

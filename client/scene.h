@@ -40,9 +40,9 @@ struct SceneSettings {
 Result<Scene> readScene(const std::string& text_or_file);
 Result<Camera> readCamera(const std::string& text_or_file);
 
-// Binds a scene to a frame: channel names become indices. Errors: kNotFound (names the channels there are);
-// kInvalid.
-Result<SceneSettings> bindScene(const Scene& scene, const FrameFooter& frame);
+// Binds a scene to a frame: channel names become indices, and the medium's sample offset becomes part of
+// every channel's transform in `frame`. Errors: kNotFound (names the channels there are); kInvalid.
+Result<SceneSettings> bindScene(const Scene& scene, FrameFooter& frame);
 
 // A camera that sees all of the channel's active box: from the front, a little above; up is the longer of Y
 // and Z.

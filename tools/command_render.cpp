@@ -22,6 +22,7 @@ namespace {
 
 constexpr std::uint32_t kMaxEdge = 65536;
 constexpr std::uint64_t kMaxPixels = 1ull << 28;
+constexpr std::uint32_t kMaxSampleEdge = 16;
 
 struct RenderOptions {
     std::string source, output, size = "640x480", camera, scene, quality = "final", cache = "1G", max_bytes,
@@ -29,7 +30,7 @@ struct RenderOptions {
     std::string device = "cpu";
     std::optional<std::uint32_t> frame;
     std::optional<double> density_scale, max_error, deadline;
-    unsigned threads = 0, repeats = 0;
+    unsigned threads = 0, repeats = 0, samples = 1;
     bool strict = false, json = false;
 };
 
@@ -45,6 +46,23 @@ Result<void> parsePictureSize(const std::string& text, std::uint32_t& width, std
     return fail(ErrorCode::kInvalid,
                 fmt::format("--size '{}': give WIDTHxHEIGHT, each from 1 to {}, at most 2^28 pixels", text,
                             kMaxEdge));
+}
+
+// `--samples 16` is a picture of 4 times the width and height, filtered down. Gives that 4.
+Result<std::uint32_t> sampleEdge(const RenderOptions& options, std::uint32_t width, std::uint32_t height) {
+    std::uint32_t edge = 1;
+    while (edge < kMaxSampleEdge && edge * edge < options.samples) ++edge;
+    if (edge * edge != options.samples)
+        return fail(ErrorCode::kInvalid, fmt::format("--samples {}: give a square number, 1, 4, 9 ... {}",
+                                                     options.samples, kMaxSampleEdge * kMaxSampleEdge));
+    if (std::uint64_t(width) * edge > kMaxEdge || std::uint64_t(height) * edge > kMaxEdge ||
+        std::uint64_t(width) * height * edge * edge > kMaxPixels)
+        return fail(
+            ErrorCode::kInvalid,
+            fmt::format("--samples {}: is too many for {} x {} pixels; at most {} samples an edge and "
+                        "2^28 in all",
+                        options.samples, width, height, kMaxEdge));
+    return edge;
 }
 
 // What the presets mean (docs/quality.md): an error, and how many pixels a voxel may span before it must be
@@ -144,6 +162,12 @@ Result<RenderRequest> requestOf(const RenderOptions& options) {
     const Result<QualitySettings> quality = qualityOf(options);
     if (!quality) return tl::unexpected(quality.error());
     request.quality = *quality;
+    const Result<std::uint32_t> edge = sampleEdge(options, request.width, request.height);
+    if (!edge) return tl::unexpected(edge.error());
+    request.width *= *edge;
+    request.height *= *edge;
+    // A preset counts the picture's pixels, not their samples.
+    request.quality.pixels_per_voxel *= double(*edge);
     const Result<std::uint64_t> cache = parseSize(options.cache);
     if (!cache) return tl::unexpected(cache.error());
     request.cache_bytes = *cache;
@@ -208,6 +232,10 @@ Result<RenderOutcome> renderTo(const RenderOptions& options, RenderRequest reque
     Result<RenderOutcome> outcome = makeCpuRenderer()->render(**source, request);
     line.clear();
     if (!outcome) return outcome;
+    if (options.samples > 1) {
+        const auto edge = std::uint32_t(std::lround(std::sqrt(options.samples)));
+        outcome->picture = boxFiltered(outcome->picture, edge);
+    }
     const Result<void> written = output.extension() == ".exr"
                                      ? writeExr(outcome->picture, output)
                                      : writePng(outcome->picture, outcome->background, output);
@@ -269,6 +297,10 @@ void addRenderCommand(CLI::App& app, int& status) {
         ->capture_default_str();
     command->add_option("--max-error", options->max_error,
                         "Refine every pixel until hardly one is off by this; wins over --quality");
+    command
+        ->add_option("--samples", options->samples,
+                     "Samples per pixel, a square number; the pixel is their mean")
+        ->capture_default_str();
     command->add_flag("--strict", options->strict, "Make --max-error a guarantee");
     command->add_option("--deadline", options->deadline, "Seconds; the best picture by then");
     command->add_option("--max-bytes", options->max_bytes,

@@ -42,8 +42,10 @@ constexpr CommandEntry kCommands[] = {
 #endif
 #ifdef BRICKYARD_WITH_CLIENT
     {"render", addRenderCommand, "BRICKYARD_CLIENT"},
+    {"compare", addCompareCommand, "BRICKYARD_CLIENT"},
 #else
     {"render", nullptr, "BRICKYARD_CLIENT"},
+    {"compare", nullptr, "BRICKYARD_CLIENT"},
 #endif
 };
 

@@ -180,6 +180,20 @@ TEST_F(EndToEndTest, ThePlumeLooksAsItDid) {
     }
 }
 
+TEST_F(EndToEndTest, ComparePassesWhatIsNearAndFailsWhatIsFar) {
+    const std::string files = "'" + path("a.exr") + "' '" + path("b.exr") + "' ";
+    render(dataset(), "a.exr", "--size 32x32 --density-scale 5 --quality reference");
+    render(dataset(), "b.exr", "--size 32x32 --density-scale 5 --quality reference --samples 4");
+    ASSERT_EQ(run("compare " + files + "--json --background 1 1 1 --max-rms 0.1"), 0) << err_;
+    const double rms = nlohmann::json::parse(out_)["rms_covered"];
+    EXPECT_GT(rms, 0) << "a pixel's centre is not its mean";
+    EXPECT_EQ(run("compare " + files + "--background 1 1 1 --max-rms " + std::to_string(rms / 2)), 1);
+    EXPECT_THAT(err_, testing::HasSubstr("is above"));
+    render(dataset(), "b.exr", "--size 32x31");
+    EXPECT_EQ(run("compare " + files), 1);
+    EXPECT_THAT(err_, testing::HasSubstr("32 x 31"));
+}
+
 TEST_F(EndToEndTest, EveryFailureIsOneLineAndTheRightStatus) {
     const struct {
         std::string arguments;
@@ -195,7 +209,10 @@ TEST_F(EndToEndTest, EveryFailureIsOneLineAndTheRightStatus) {
         {"render '" + dataset() + "' -o a.png --size 0x5", 2, "--size"},
         {"render '" + dataset() + "' -o a.png --max-error 2", 2, "--max-error"},
         {"render '" + dataset() + "' -o a.png --strict", 2, "--max-error"},
+        {"render '" + dataset() + "' -o a.png --samples 5", 2, "--samples"},
+        {"render '" + dataset() + "' -o a.png --size 60000x1 --samples 4", 2, "--samples"},
         {"render '" + dataset() + "' -o a.png --cache 12", 1, "less than one brick"},
+        {"compare /no/such.exr /no/such.exr", 1, "/no/such.exr"},
         {"render '" + dataset() + "' -o a.png --camera '{\"eye\":[0,0,0],\"target\":[0,0,0]}'", 1, "eye"},
     };
     for (const auto& c : cases) {
