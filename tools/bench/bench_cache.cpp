@@ -99,6 +99,13 @@ std::vector<BenchView> benchViews(const ChannelFooter& density) {
             {"inside", cameraFrom(framing, center + 0.1 * out, center - out)}};
 }
 
+nlohmann::json cameraJson(const Camera& camera) {
+    return {{"eye", std::vector<double>(camera.eye().begin(), camera.eye().end())},
+            {"target", std::vector<double>(camera.target().begin(), camera.target().end())},
+            {"up", std::vector<double>(camera.up().begin(), camera.up().end())},
+            {"vertical_fov_degrees", camera.vertical_fov_degrees()}};
+}
+
 Result<RenderOutcome> renderDataset(const BenchDataset& dataset, RenderRequest request) {
     const Result<std::unique_ptr<BrickSource>> source = openSource(dataset.folder.string(), /*token=*/"");
     if (!source) return tl::unexpected(source.error());

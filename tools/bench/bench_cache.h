@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
@@ -43,6 +44,9 @@ struct BenchView {
     Camera camera;
 };
 std::vector<BenchView> benchViews(const ChannelFooter& density);
+
+// As `brickyard render --camera` takes it.
+nlohmann::json cameraJson(const Camera& camera);
 
 // One picture of the dataset from a source that is opened for it. Errors: those of the renderer.
 Result<RenderOutcome> renderDataset(const BenchDataset& dataset, RenderRequest request);

@@ -18,7 +18,6 @@ namespace {
 
 constexpr double kOurErrors[] = {0.001, 0.003, 0.01, 0.03, 0.1};
 constexpr double kPeerSteps[] = {0.5, 1, 2};
-constexpr unsigned kSlowRounds = 2;
 constexpr std::uint32_t kTile = 16;  // pixels a side that a thread of the marcher takes at a time
 
 void store(const glm::dvec3& vector, double* numbers) {
@@ -107,7 +106,7 @@ private:
         contender.draw = [&subject, &truth, request](PictureError* error) -> Result<double> {
             const Result<RenderOutcome> outcome = renderDataset(subject.dataset, request);
             if (!outcome) return tl::unexpected(outcome.error());
-            if (error) error->addPicture(outcome->picture, truth.alpha);
+            if (error) error->addClaims(alphaClaims(outcome->picture), truth.alpha);
             return outcome->seconds_render;
         };
         return contender;
@@ -140,7 +139,6 @@ private:
     Contender scalar(const BenchSubject& subject, const ViewTruth& truth, bool all_threads) {
         Contender contender;
         contender.name = all_threads ? "cell walk" : "cell walk, one thread";
-        contender.max_rounds = kSlowRounds;
         contender.draw = [this, &subject, &truth, all_threads](PictureError* error) -> Result<double> {
             std::vector<double> depths;
             const double seconds = secondsOf([&] {
@@ -174,10 +172,11 @@ private:
         nlohmann::json json = report(contenders);
         json["cache"] = subject.cache.name;
         json["view"] = view.name;
+        json["camera"] = cameraJson(view.camera);
         json["density_scale"] = subject.density_scale;
         json["median_optical_depth"] = truth->median_depth;
         json["hit_share"] = truth->hit_share;
-        Result<nlohmann::json> lit = compareLit(subject, view, *truth, options_, pool_);
+        Result<nlohmann::json> lit = compareLit(subject, view, options_, pool_);
         if (!lit) return lit;
         if (lit->contains("vdb_render_over_reference"))
             lit_reference_.add((*lit)["vdb_render_over_reference"].get<double>());
@@ -190,6 +189,7 @@ private:
     }
 
     nlohmann::json report(const std::vector<Contender>& contenders) {
+        std::uint64_t broken = 0;
         TextTable table({"absorption", "seconds", "best", "Mrays/s", "rms", "worst", "ours at equal rms",
                          "is faster by"});
         nlohmann::json json{{"pictures", nlohmann::json::array()}, {"equal_rms", nlohmann::json::array()}};
@@ -204,10 +204,12 @@ private:
                 cell(contender.error.worst()),
                 "",
                 ""};
+            if (contender.ours) broken += contender.error.broken();
             if (contender.peer_step > 0) compareAtEqualError(contenders, contender, row, json["equal_rms"]);
             table.add(row);
         }
         options_.print(table.text());
+        if (broken > 0) options_.print(fmt::format("  {} pixels break their bound", broken));
         const double reference = contenders.front().timing.median();
         const Contender& one = contenders.back();
         const Contender& all = contenders[contenders.size() - 2];

@@ -17,14 +17,14 @@ struct Contender {
     std::string name;
     // Draws once and gives the seconds of that; adds the picture's error to `error` where it is not null.
     std::function<Result<double>(PictureError* error)> draw;
-    unsigned max_rounds = 1000;  // the slow ones sit out the later rounds
     bool ours = false;
     double peer_step = 0;  // of a marcher, in voxels
     Timing timing;
     PictureError error;
 };
 
-// `rounds` rounds, each contender once in each. Errors: the first of a contender.
+// `rounds` rounds, each contender once in each; one that has spent five seconds sits out the rest. Errors:
+// the first of a contender.
 Result<void> race(std::vector<Contender>& contenders, unsigned rounds);
 
 // The quickest of ours with at most this rms error; nullptr where none is as exact.

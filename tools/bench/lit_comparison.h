@@ -8,8 +8,9 @@
 
 namespace brickyard {
 
-// Prints a table of its own. Errors: those of our renderer; a peer that fails is a "skipped" in the object.
-Result<nlohmann::json> compareLit(const BenchSubject& subject, const BenchView& view, const ViewTruth& truth,
+// At half the size a side. Prints a table of its own. Errors: those of our renderer; a peer that fails is a
+// "skipped" in the object.
+Result<nlohmann::json> compareLit(const BenchSubject& subject, const BenchView& view,
                                   const BenchOptions& options, WorkerPool& pool);
 
 }  // namespace brickyard

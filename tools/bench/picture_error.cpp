@@ -18,6 +18,14 @@ std::vector<float> alphaOf(std::span<const double> depths, double density_scale)
     return alpha;
 }
 
+std::vector<Claim> alphaClaims(const Picture& picture) {
+    std::vector<Claim> claims;
+    claims.reserve(picture.pixels.size());
+    for (const Pixel& pixel : picture.pixels)
+        claims.push_back({pixel.alpha, pixel.estimate_alpha, pixel.bound_alpha});
+    return claims;
+}
+
 void PictureError::addPixel(double value, double truth) {
     // What is not finite is as wrong as can be.
     const double error = std::isfinite(value) ? std::abs(value - truth) : 1;
@@ -31,20 +39,20 @@ void PictureError::addValues(std::span<const float> values, std::span<const floa
     for (std::size_t i = 0; i < values.size(); ++i) addPixel(double(values[i]), double(truth[i]));
 }
 
-void PictureError::addPicture(const Picture& picture, std::span<const float> truth) {
-    assert(picture.pixels.size() == truth.size());
+void PictureError::addClaims(std::span<const Claim> claims, std::span<const float> truth) {
+    assert(claims.size() == truth.size());
     for (std::size_t i = 0; i < truth.size(); ++i) {
-        const Pixel& pixel = picture.pixels[i];
-        const double error = std::abs(double(pixel.alpha) - double(truth[i]));
-        addPixel(double(pixel.alpha), double(truth[i]));
-        sum_estimate_ += double(pixel.estimate_alpha);
-        sum_bound_ += double(pixel.bound_alpha);
-        broken_ += !(error <= double(pixel.bound_alpha) + kRounding);
+        const Claim& claim = claims[i];
+        const double error = std::abs(double(claim.value) - double(truth[i]));
+        addPixel(double(claim.value), double(truth[i]));
+        sum_estimate_ += double(claim.estimate);
+        sum_bound_ += double(claim.bound);
+        broken_ += !(error <= double(claim.bound) + kRounding);
         // Rays that meet nothing are right by themselves and would only embellish the share.
-        if (!(pixel.alpha > 0) && !(truth[i] > 0)) continue;
+        if (!(claim.value > 0) && !(truth[i] > 0)) continue;
         ++seen_;
         for (int sigmas = 1; sigmas <= 3; ++sigmas)
-            within_[std::size_t(sigmas - 1)] += error <= sigmas * double(pixel.estimate_alpha) + kRounding;
+            within_[std::size_t(sigmas - 1)] += error <= sigmas * double(claim.estimate) + kRounding;
     }
 }
 

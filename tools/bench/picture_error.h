@@ -14,11 +14,16 @@ namespace brickyard {
 // Alpha of the optical depths that ScalarWalk::depths gives.
 std::vector<float> alphaOf(std::span<const double> depths, double density_scale);
 
+// A figure with what its picture says of it.
+struct Claim {
+    float value = 0, estimate = 0, bound = 0;
+};
+std::vector<Claim> alphaClaims(const Picture& picture);
+
 // Sums, so that the errors of several pictures add up to one of them all.
 class PictureError {
 public:
-    // Of a picture's alpha, with what it says of it.
-    void addPicture(const Picture& picture, std::span<const float> truth);
+    void addClaims(std::span<const Claim> claims, std::span<const float> truth);
     // Of figures that say nothing of themselves.
     void addValues(std::span<const float> values, std::span<const float> truth);
     void add(const PictureError& other);

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <numeric>
 #include <vector>
 
 namespace brickyard {
@@ -18,7 +19,7 @@ public:
         return seconds_.size() % 2 == 1 ? seconds_[half] : 0.5 * (seconds_[half - 1] + seconds_[half]);
     }
     double best() const { return seconds_.front(); }
-    bool empty() const { return seconds_.empty(); }
+    double total() const { return std::accumulate(seconds_.begin(), seconds_.end(), 0.0); }
 
 private:
     std::vector<double> seconds_;  // ascending
