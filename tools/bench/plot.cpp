@@ -27,7 +27,7 @@ constexpr Colour kPalette[] = {{0.00, 0.45, 0.70}, {0.84, 0.37, 0.00}, {0.00, 0.
 constexpr Colour kInk{0.13, 0.13, 0.15}, kFaint{0.88, 0.88, 0.90};
 
 constexpr double kTextPoints = 12, kTitlePoints = 14;
-constexpr double kLeft = 66, kRight = 16, kTop = 34, kBottom = 48, kLegendLine = 20;
+constexpr double kLeft = 78, kRight = 16, kTop = 34, kBottom = 48, kLegendLine = 20;
 
 struct Rectangle {
     double x, y, width, height;
@@ -133,7 +133,7 @@ void drawFrame(Page& page, const PlotPanel& panel, const Rectangle& box, const P
     double last_end = -1e9;
     for (const PlotAxis::Tick& tick : x.ticks()) {
         const double at = box.x + x.place(tick.value) * box.width, half = 0.5 * page.textWidth(tick.label);
-        page.line(at, box.y, at, box.y + box.height, kFaint, tick.label.empty() ? 0.5 : 1);
+        page.line(at, box.y, at, box.y + box.height, kFaint, tick.label.empty() ? 0.35 : 1);
         // A label that would run into the one before it is left out.
         if (tick.label.empty() || at - half < last_end + 6) continue;
         page.text(at, box.y + box.height + 13, tick.label, 0.5);
@@ -142,7 +142,7 @@ void drawFrame(Page& page, const PlotPanel& panel, const Rectangle& box, const P
     double last_y = 1e9;
     for (const PlotAxis::Tick& tick : y.ticks()) {
         const double at = box.y + (1 - y.place(tick.value)) * box.height;
-        page.line(box.x, at, box.x + box.width, at, kFaint, tick.label.empty() ? 0.5 : 1);
+        page.line(box.x, at, box.x + box.width, at, kFaint, tick.label.empty() ? 0.35 : 1);
         if (tick.label.empty() || at > last_y - 14) continue;
         page.text(box.x - 7, at, tick.label, 1);
         last_y = at;

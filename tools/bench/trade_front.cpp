@@ -104,9 +104,9 @@ Result<void> plotTrade(const std::vector<TradeTotal>& totals, const std::filesys
         if (std::find(families.begin(), families.end(), total.setting->family) == families.end())
             families.push_back(total.setting->family);
     std::vector<PlotPanel> panels(2);
-    panels[0].title = "Error against bytes";
+    panels[0].title = "Error against bytes (ringed: Pareto front)";
     panels[0].x_label = "bytes streamed (1: the exact picture)";
-    panels[1].title = "Error against seconds";
+    panels[1].title = "Error against seconds (ringed: Pareto front)";
     panels[1].x_label = "seconds to the final picture (1: the exact one)";
     for (std::size_t i = 0; i < panels.size(); ++i) {
         panels[i].y_label = "rms error of alpha (1e-06: exact)";
