@@ -4,7 +4,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <cerrno>
 #include <cstdio>
 #include <string>
 #include <thread>
@@ -14,6 +13,7 @@
 #include "core/io_error.h"
 #include "core/printable_name.h"
 #include "tools/bench/benchmark.h"
+#include "tools/bench/scratch_folder.h"
 #include "tools/command.h"
 
 namespace brickyard {
@@ -39,29 +39,6 @@ struct BenchArguments {
     bool json = false;
 };
 
-// Removed with all that is in it when the command ends, done or failed.
-class ScratchFolder {
-public:
-    static Result<ScratchFolder> create() {
-        std::error_code error;
-        const std::filesystem::path parent = std::filesystem::temp_directory_path(error);
-        std::string pattern = ((error ? "/tmp" : parent) / "brickyard-bench-XXXXXX").string();
-        if (!::mkdtemp(pattern.data())) return ioError("create a folder in", parent, errno);
-        return ScratchFolder(pattern);
-    }
-    ScratchFolder(ScratchFolder&& other) noexcept : path_(std::exchange(other.path_, {})) {}
-    ScratchFolder& operator=(ScratchFolder&&) = delete;
-    ~ScratchFolder() {
-        std::error_code ignored;
-        if (!path_.empty()) std::filesystem::remove_all(path_, ignored);
-    }
-    const std::filesystem::path& path() const { return path_; }
-
-private:
-    explicit ScratchFolder(std::filesystem::path path) : path_(std::move(path)) {}
-    std::filesystem::path path_;
-};
-
 // The caches beside the checkout where they are, else the three frames that come with it.
 std::filesystem::path findData(const std::string& asked) {
     if (!asked.empty()) return asked;
@@ -84,7 +61,7 @@ Result<void> checkFolders(const BenchOptions& options) {
 }
 
 Result<nlohmann::json> runAll(const std::vector<const Benchmark*>& chosen, const BenchArguments& arguments) {
-    Result<ScratchFolder> scratch = ScratchFolder::create();
+    const auto scratch = ScratchFolder::create();
     if (!scratch) return tl::unexpected(scratch.error());
     BenchOptions options;
     options.data = findData(arguments.data);
@@ -110,7 +87,7 @@ Result<nlohmann::json> runAll(const std::vector<const Benchmark*>& chosen, const
                        {"repeats", options.repeats}};
     for (const Benchmark* benchmark : chosen) {
         // Each begins with an empty folder, so that none depends on which ran before.
-        options.scratch = scratch->path() / benchmark->name;
+        options.scratch = (*scratch)->path() / benchmark->name;
         std::error_code error;
         if (!std::filesystem::create_directory(options.scratch, error))
             return ioError("create", options.scratch, error.value());
