@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <cmath>
 #include <glm/geometric.hpp>
 #include <map>
 
@@ -90,13 +91,28 @@ Result<BenchDataset> convertCache(const BenchCache& cache, const std::filesystem
     return dataset;
 }
 
-std::vector<BenchView> benchViews(const ChannelFooter& density) {
+std::vector<BenchView> outsideViews(const ChannelFooter& density) {
     const Camera framing = frameChannel(density, /*aspect=*/1);
-    const glm::dvec3 eye = vectorOf(framing.eye()), center = vectorOf(framing.target()), out = eye - center;
-    // The frame's sphere has a radius of sin 20 degrees of the distance; a tenth lies well inside of the box.
-    return {{"far", cameraFrom(framing, center + 4.0 * out, center)},
-            {"framing", framing},
-            {"inside", cameraFrom(framing, center + 0.1 * out, center - out)}};
+    const glm::dvec3 eye = vectorOf(framing.eye()), center = vectorOf(framing.target());
+    return {{"far", cameraFrom(framing, center + 4.0 * (eye - center), center)}, {"framing", framing}};
+}
+
+std::vector<Camera> insideCameras(const ChannelFooter& density) {
+    const Camera framing = frameChannel(density, /*aspect=*/1);
+    const glm::dvec3 center = vectorOf(framing.target());
+    const double distance = glm::length(vectorOf(framing.eye()) - center);
+    std::vector<Camera> cameras;
+    for (int i = 0; i < 6; ++i) {
+        // Tilted: a ray along an axis would run in one plane of samples, which no camera of a user's does.
+        glm::dvec3 along(0.13, 0.17, 0.11);
+        along[i / 2] = i % 2 == 0 ? 1 : -1;
+        Camera camera = cameraFrom(framing, center, center + distance * glm::normalize(along));
+        // Up and down, the framing's up is parallel to the view.
+        if (std::abs(vectorOf(camera.up())[i / 2]) > 0.5)
+            for (int a = 0; a < 3; ++a) camera.set_up(a, a == (i / 2 + 1) % 3 ? 1 : 0);
+        cameras.push_back(camera);
+    }
+    return cameras;
 }
 
 nlohmann::json cameraJson(const Camera& camera) {

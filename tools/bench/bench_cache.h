@@ -37,13 +37,15 @@ struct BenchDataset {
 Result<BenchDataset> convertCache(const BenchCache& cache, const std::filesystem::path& folder,
                                   double max_error, const std::vector<std::string>& channels);
 
-// "far" (the box takes a quarter of the picture's height), "framing" (frameChannel), "inside" (from within
-// the box, through it).
 struct BenchView {
     std::string name;
     Camera camera;
 };
-std::vector<BenchView> benchViews(const ChannelFooter& density);
+// "far" (the box takes a quarter of the picture's height) and "framing" (frameChannel).
+std::vector<BenchView> outsideViews(const ChannelFooter& density);
+// From the middle of the box along each axis, either way: one of them is to become "inside". In a box that is
+// mostly empty some of them see nothing.
+std::vector<Camera> insideCameras(const ChannelFooter& density);
 
 // As `brickyard render --camera` takes it.
 nlohmann::json cameraJson(const Camera& camera);

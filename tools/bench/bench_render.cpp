@@ -126,8 +126,8 @@ private:
                 pool_.run(std::size_t(tiles) * tiles, [&](std::size_t tile) {
                     const std::uint32_t x = std::uint32_t(tile) % tiles * kTile;
                     const std::uint32_t y = std::uint32_t(tile) / tiles * kTile;
-                    marchNano(nano.data(), view, x, std::min(x + kTile, size), y, std::min(y + kTile, size),
-                              alpha.data());
+                    marchNano(nano.density(), nano.cells(), view, x, std::min(x + kTile, size), y,
+                              std::min(y + kTile, size), alpha.data());
                 });
             });
             if (error) error->addValues(alpha, truth.alpha);

@@ -21,6 +21,10 @@ double medianOfHits(std::vector<double> depths) {
     return *middle;
 }
 
+std::ptrdiff_t countHits(const std::vector<double>& depths) {
+    return std::count_if(depths.begin(), depths.end(), [](double depth) { return depth > 0; });
+}
+
 }  // namespace
 
 Result<BenchSubject> prepareSubject(const BenchCache& cache, const std::filesystem::path& folder,
@@ -33,18 +37,31 @@ Result<BenchSubject> prepareSubject(const BenchCache& cache, const std::filesyst
     const Result<Affine> transform = Affine::fromColumns(std::vector<double>(numbers.begin(), numbers.end()));
     if (!transform) return tl::unexpected(transform.error());
     BenchSubject subject{cache, std::move(*dataset), *transform, *grid, ScalarWalk(*grid), 1, {}};
-    subject.views = benchViews(subject.dataset.density);
+    subject.views = outsideViews(subject.dataset.density);
 
-    for (const BenchView& view : subject.views) {
-        if (view.name != "framing") continue;
-        const Result<PinholeCamera> camera = PinholeCamera::create(view.camera, kProbeEdge, kProbeEdge);
+    const auto probe = [&](const Camera& view) -> Result<std::vector<double>> {
+        const Result<PinholeCamera> camera = PinholeCamera::create(view, kProbeEdge, kProbeEdge);
         if (!camera) return tl::unexpected(camera.error());
-        const double median = medianOfHits(subject.walk.depths(*camera, pool.parallelFor()));
-        if (!(median > 0))
-            return fail(ErrorCode::kInvalid, fmt::format("{}: its density is 0 wherever it is framed; choose "
-                                                         "another cache",
-                                                         cache.file.string()));
-        subject.density_scale = kTypicalDepth / median;
+        return subject.walk.depths(*camera, pool.parallelFor());
+    };
+    const Result<std::vector<double>> framing = probe(subject.views.back().camera);
+    if (!framing) return tl::unexpected(framing.error());
+    const double median = medianOfHits(*framing);
+    if (!(median > 0))
+        return fail(ErrorCode::kInvalid,
+                    fmt::format("{}: its density is 0 wherever it is framed; choose another cache",
+                                cache.file.string()));
+    subject.density_scale = kTypicalDepth / median;
+
+    std::ptrdiff_t most = 0;
+    for (const Camera& camera : insideCameras(subject.dataset.density)) {
+        const Result<std::vector<double>> depths = probe(camera);
+        if (!depths) return tl::unexpected(depths.error());
+        const std::ptrdiff_t hits = countHits(*depths);
+        if (hits <= most) continue;
+        if (most == 0) subject.views.push_back({"inside", {}});
+        subject.views.back().camera = camera;
+        most = hits;
     }
     return subject;
 }
@@ -54,9 +71,9 @@ Result<ViewTruth> truthOf(const BenchSubject& subject, const BenchView& view, st
     const Result<PinholeCamera> camera = PinholeCamera::create(view.camera, size, size);
     if (!camera) return tl::unexpected(camera.error());
     const std::vector<double> depths = subject.walk.depths(*camera, pool.parallelFor());
-    const auto hits = std::count_if(depths.begin(), depths.end(), [](double depth) { return depth > 0; });
     return ViewTruth{*camera, alphaOf(depths, subject.density_scale),
-                     subject.density_scale * medianOfHits(depths), double(hits) / double(depths.size())};
+                     subject.density_scale * medianOfHits(depths),
+                     double(countHits(depths)) / double(depths.size())};
 }
 
 RenderRequest requestOf(const BenchSubject& subject, const BenchView& view, std::uint32_t size,

@@ -22,6 +22,7 @@ struct BenchSubject {
     // Chosen so that half of the rays of the framing view that meet something lose at least 78 % of their
     // light (an optical depth of 1.5): neither empty nor opaque.
     double density_scale = 1;
+    // far, framing, and of the inside cameras the one that sees most, where one sees anything.
     std::vector<BenchView> views;
 };
 

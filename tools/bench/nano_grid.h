@@ -12,12 +12,13 @@ class NanoGrid {
 public:
     // Errors: kUnsupported (NanoVDB refuses the grid).
     static Result<NanoGrid> create(const SourceGrid& grid);
-    // What marchNano wants: a nanovdb::NanoGrid<float>.
-    const void* data() const { return data_; }
+    // What marchNano wants: a nanovdb::NanoGrid<float>, and the cells that have density at one of their
+    // corners as a nanovdb::NanoGrid<nanovdb::ValueMask>, a cell being named by its lowest corner.
+    const void* density() const { return density_.get(); }
+    const void* cells() const { return cells_.get(); }
 
 private:
-    std::shared_ptr<const void> owner_;
-    const void* data_ = nullptr;
+    std::shared_ptr<const void> density_, cells_;
 };
 
 }  // namespace brickyard

@@ -43,36 +43,33 @@ inline float sampleLeaf(const Leaf& leaf, int x, int y, int z, float fx, float f
     return v0 + (v1 - v0) * fx;
 }
 
-// A node with nothing in it, as a cube of cells whose corners all lie in it: `edge` is 0 where it has
-// density.
-struct Region {
-    int low[3];
-    int edge;
-};
+using Cells = nano::NanoGrid<nano::ValueMask>;
 
 class Marcher {
 public:
-    explicit Marcher(const nano::NanoGrid<float>& grid)
-        : accessor_(grid.getAccessor()), sampler_(accessor_), tree_(grid.tree()) {}
+    Marcher(const nano::NanoGrid<float>& density, const Cells& cells)
+        : accessor_(density.getAccessor()), sampler_(accessor_), cells_(cells.getAccessor()) {
+        // Of the cells' lowest corners; the last cell reaches to the one after it.
+        const nano::CoordBBox box = cells.tree().bbox();
+        for (int a = 0; a < 3; ++a) {
+            low_[a] = float(box.min()[a]);
+            high_[a] = float(box.max()[a] + 1);
+        }
+    }
 
     // Density at the middles of steps, added up; at `limit` nothing more is to be seen.
     float march(const MarchRay& ray, float step, float limit) {
         float begin = 0, end = 1e30f;
-        const nano::CoordBBox box = tree_.bbox();
-        // Interpolation reaches one sample beyond the active voxels.
-        for (int a = 0; a < 3; ++a) ray.clip(a, float(box.min()[a] - 1), float(box.max()[a] + 1), begin, end);
+        for (int a = 0; a < 3; ++a) ray.clip(a, low_[a], high_[a], begin, end);
         float sum = 0;
         for (float t = begin + 0.5f * step; t < end && sum < limit;) {
             const float p[3] = {ray.at(0, t), ray.at(1, t), ray.at(2, t)};
             const float f[3] = {std::floor(p[0]), std::floor(p[1]), std::floor(p[2])};
             const int x = int(f[0]), y = int(f[1]), z = int(f[2]);
             enter(x, y, z);
-            if (empty_.edge > 0) {
-                const float skipped = leaveAt(ray, x, y, z, t);
-                if (skipped > t) {
-                    t += step * std::fmax(1.0f, std::ceil((skipped - t) / step));
-                    continue;
-                }
+            if (empty_edge_ > 0) {
+                t += step * std::fmax(1.0f, std::ceil((leaveAt(ray) - t) / step));
+                continue;
             }
             const bool inside = leaf_ && (x & 7) != 7 && (y & 7) != 7 && (z & 7) != 7;
             const float density = inside ? sampleLeaf(*leaf_, x, y, z, p[0] - f[0], p[1] - f[1], p[2] - f[2])
@@ -84,29 +81,26 @@ public:
     }
 
 private:
-    // Finds the node around a voxel, unless it is the one of the sample before.
+    // Finds the node around a cell, unless it is the one of the sample before.
     void enter(int x, int y, int z) {
         const int lx = x & ~7, ly = y & ~7, lz = z & ~7;
         if (lx == leaf_low_[0] && ly == leaf_low_[1] && lz == leaf_low_[2]) return;
         leaf_low_[0] = lx, leaf_low_[1] = ly, leaf_low_[2] = lz;
-        const nano::Coord voxel(x, y, z);
-        leaf_ = accessor_.probeLeaf(voxel);
-        int edge = 0;
-        if (leaf_)
-            edge = leaf_->data()->mMaximum <= 0 ? 8 : 0;
-        else if (accessor_.getValue(voxel) <= 0)
-            edge = int(accessor_.getDim(voxel, /*ray=*/0));
-        empty_ = {{x & ~(edge - 1), y & ~(edge - 1), z & ~(edge - 1)}, edge};
+        const nano::Coord cell(x, y, z);
+        leaf_ = accessor_.probeLeaf(cell);
+        empty_edge_ = 0;
+        if (cells_.probeLeaf(cell) || cells_.isActive(cell)) return;
+        empty_edge_ = int(cells_.getDim(cell, /*ray=*/0));
+        empty_low_[0] = x & ~(empty_edge_ - 1);
+        empty_low_[1] = y & ~(empty_edge_ - 1);
+        empty_low_[2] = z & ~(empty_edge_ - 1);
     }
 
-    // Where the ray leaves the empty node's cells; `t` where its point is in a cell that reaches beyond the
-    // node.
-    float leaveAt(const MarchRay& ray, int x, int y, int z, float t) const {
-        const int v[3] = {x, y, z};
+    // Where the ray leaves the empty node that it is in.
+    float leaveAt(const MarchRay& ray) const {
         float leave = 1e30f;
         for (int a = 0; a < 3; ++a) {
-            if (v[a] - empty_.low[a] >= empty_.edge - 1) return t;
-            const int face = ray.direction[a] > 0 ? empty_.low[a] + empty_.edge - 1 : empty_.low[a];
+            const int face = ray.direction[a] > 0 ? empty_low_[a] + empty_edge_ : empty_low_[a];
             if (ray.direction[a] != 0)
                 leave = std::fmin(leave, (float(face) - ray.origin[a]) * ray.inverse[a]);
         }
@@ -116,17 +110,19 @@ private:
     using Accessor = nano::DefaultReadAccessor<float>;
     Accessor accessor_;
     nano::SampleFromVoxels<Accessor, 1, false> sampler_;
-    const nano::NanoTree<float>& tree_;
+    nano::DefaultReadAccessor<nano::ValueMask> cells_;
+    float low_[3], high_[3];
     int leaf_low_[3] = {1, 1, 1};  // no multiples of 8: nothing is entered yet
     const Leaf* leaf_ = nullptr;
-    Region empty_{{0, 0, 0}, 0};
+    int empty_low_[3] = {0, 0, 0};
+    int empty_edge_ = 0;  // 0: the node has cells with density
 };
 
 }  // namespace
 
-void marchNano(const void* grid, const NanoView& view, std::uint32_t x0, std::uint32_t x1, std::uint32_t y0,
-               std::uint32_t y1, float* alpha) {
-    Marcher marcher(*static_cast<const nano::NanoGrid<float>*>(grid));
+void marchNano(const void* density, const void* cells, const NanoView& view, std::uint32_t x0,
+               std::uint32_t x1, std::uint32_t y0, std::uint32_t y1, float* alpha) {
+    Marcher marcher(*static_cast<const nano::NanoGrid<float>*>(density), *static_cast<const Cells*>(cells));
     for (std::uint32_t y = y0; y < y1; ++y)
         for (std::uint32_t x = x0; x < x1; ++x) {
             double index[3], index_length = 0, world_length = 0;

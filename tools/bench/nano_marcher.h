@@ -1,5 +1,5 @@
 // What a user would take instead: a NanoVDB ray marcher on the CPU. Trilinear samples at the middles of equal
-// steps, cached accessor, empty leaves and tiles skipped, early exit; absorption only.
+// steps, cached accessors, empty cells skipped by nodes of every size, early exit; absorption only.
 //
 // Its source is compiled for the very processor of the build (-march=native), so nothing in this header may
 // be inline code that other files share: the linker would be free to take the copy that needs this processor.
@@ -19,9 +19,9 @@ struct NanoView {
     double step_voxels;  // length of a step in index space
 };
 
-// Pixels [x0, x1) x [y0, y1) into `alpha`, which is the whole picture, row by row. `grid` is
-// NanoGrid::data(). Any thread.
-void marchNano(const void* grid, const NanoView& view, std::uint32_t x0, std::uint32_t x1, std::uint32_t y0,
-               std::uint32_t y1, float* alpha);
+// Pixels [x0, x1) x [y0, y1) into `alpha`, which is the whole picture, row by row. `density` and `cells` are
+// those of a NanoGrid. Any thread.
+void marchNano(const void* density, const void* cells, const NanoView& view, std::uint32_t x0,
+               std::uint32_t x1, std::uint32_t y0, std::uint32_t y1, float* alpha);
 
 }  // namespace brickyard
