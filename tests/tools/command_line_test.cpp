@@ -51,7 +51,8 @@ TEST(CommandLine, HelpNamesEveryCommandAndTheExitStatuses) {
     const Outcome help = brickyard("--help");
     EXPECT_EQ(help.status, 0);
     EXPECT_EQ(help.err, "");
-    for (const char* word : {"convert", "info", "verify", "serve", "render", "--version", "Exit status"})
+    for (const char* word :
+         {"convert", "info", "verify", "serve", "render", "bench", "--version", "Exit status"})
         EXPECT_THAT(help.out, HasSubstr(word));
 }
 
@@ -63,7 +64,7 @@ TEST(CommandLine, VersionIsOneLine) {
 }
 
 TEST(CommandLine, EveryCommandHasHelp) {
-    for (const char* command : {"convert", "info", "verify", "serve", "render"}) {
+    for (const char* command : {"convert", "info", "verify", "serve", "render", "bench"}) {
         const Outcome help = brickyard(std::string(command) + " --help");
         EXPECT_EQ(help.status, 0) << command << ": " << help.err;
         EXPECT_THAT(help.out, HasSubstr(command));
@@ -92,6 +93,9 @@ TEST(CommandLine, ACommandThatWasLeftOutNamesItsOption) {
 #endif
 #ifndef BRICKYARD_WITH_CLIENT
     left_out.emplace_back("render", "-DBRICKYARD_CLIENT=ON");
+#endif
+#if defined(BRICKYARD_WITH_OPENVDB) && defined(BRICKYARD_WITH_CLIENT) && !defined(BRICKYARD_WITH_BENCH)
+    left_out.emplace_back("bench", "-DBRICKYARD_BENCH=ON");
 #endif
     if (left_out.empty()) GTEST_SKIP() << "this build has every command";
     for (const auto& [command, option] : left_out) {

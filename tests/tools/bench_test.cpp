@@ -1,0 +1,179 @@
+// `brickyard bench` at a size that takes seconds: the figures are there and the promises hold. How fast
+// anything is no test can say.
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <png.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cmath>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <sstream>
+
+#include "tools/bench/plot.h"
+#include "tools/bench/plot_axis.h"
+
+namespace brickyard {
+namespace {
+
+using testing::HasSubstr;
+using testing::StartsWith;
+
+std::string readFile(const std::filesystem::path& path) {
+    std::ostringstream text;
+    text << std::ifstream(path, std::ios::binary).rdbuf();
+    return text.str();
+}
+
+// A folder of its own for each test, gone afterwards.
+class BenchTest : public testing::Test {
+protected:
+    void SetUp() override {
+        folder_ = std::filesystem::path(testing::TempDir()) / fmt::format("bench_test.{}", getpid());
+        std::filesystem::create_directories(folder_ / "scratch");
+    }
+    void TearDown() override { std::filesystem::remove_all(folder_); }
+
+    // Gives the exit status. The command's temporary folders go into our own.
+    int bench(const std::string& arguments) {
+        const std::string line =
+            fmt::format("TMPDIR='{0}/scratch' '{1}' bench {2} >'{0}/out' 2>'{0}/err' </dev/null",
+                        folder_.string(), BRICKYARD_COMMAND, arguments);
+        const int status = std::system(line.c_str());
+        out_ = readFile(folder_ / "out");
+        err_ = readFile(folder_ / "err");
+        return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+    }
+    nlohmann::json figures(const std::string& name) {
+        const int status = bench(fmt::format("{} --json --size 24 --repeat 1 --data '{}/plume' --output '{}'",
+                                             name, BRICKYARD_TEST_DATA, folder_.string()));
+        EXPECT_EQ(status, 0) << err_;
+        EXPECT_EQ(err_, "");
+        const nlohmann::json json = nlohmann::json::parse(out_, nullptr, /*allow_exceptions=*/false);
+        EXPECT_TRUE(json.is_object() && json.contains(name)) << out_;
+        EXPECT_TRUE(std::filesystem::is_empty(folder_ / "scratch")) << "temporary datasets are left behind";
+        return json.is_object() ? json.value(name, nlohmann::json::object()) : nlohmann::json::object();
+    }
+
+    std::filesystem::path folder_;
+    std::string out_, err_;
+};
+
+TEST_F(BenchTest, RenderComparesWithPeersAndItsReferenceIsExact) {
+    const nlohmann::json render = figures("render");
+    ASSERT_EQ(render["views"].size(), 3u);
+    for (const auto& view : render["views"]) {
+        EXPECT_GT(view["median_optical_depth"].get<double>(), 0) << view["view"];
+        EXPECT_EQ(view["equal_rms"].size(), 3u);
+        EXPECT_TRUE(view.contains("cell_walk_over_reference"));
+        EXPECT_TRUE(view["lit"].contains("vdb_render_over_reference") || view["lit"].contains("skipped"));
+        for (const auto& picture : view["pictures"]) {
+            EXPECT_GT(picture["seconds"].get<double>(), 0) << picture["name"];
+            // Two programs that share no code agree to the rounding of a float.
+            if (picture["name"] == "reference") EXPECT_LT(picture["worst"].get<double>(), 1e-6);
+            if (picture.contains("error")) EXPECT_EQ(picture["error"]["bounds_broken"], 0) << picture["name"];
+        }
+    }
+    EXPECT_TRUE(render["summary"].contains("nanovdb_step_1_over_ours_at_equal_rms"));
+}
+
+// A finer step of the peer is nearer to the truth: it marches the same rays as the walk it is held to.
+TEST_F(BenchTest, TheMarcherConvergesToTheCellWalk) {
+    for (const auto& view : figures("render")["views"]) {
+        std::map<std::string, double> rms;
+        for (const auto& picture : view["pictures"]) rms[picture["name"]] = picture["rms"];
+        EXPECT_LT(rms["NanoVDB step 0.5"], rms["NanoVDB step 2"]) << view["view"];
+        EXPECT_LT(rms["NanoVDB step 0.5"], 0.01) << view["view"];
+    }
+}
+
+TEST_F(BenchTest, TradeWritesItsFilesAndNoBoundBreaks) {
+    const nlohmann::json trade = figures("trade");
+    EXPECT_EQ(trade["calibration"]["bounds_broken"], 0);
+    EXPECT_TRUE(trade["calibration"].contains("within_3_holds"));
+    EXPECT_TRUE(trade["calibration"].contains("mean_estimate_holds"));
+    for (const char* preset : {"draft", "preview", "final", "reference"})
+        EXPECT_TRUE(trade["presets"][preset].contains("on_bytes_front")) << preset;
+    EXPECT_THAT(readFile(folder_ / "trade.csv"), StartsWith("cache,view,setting,"));
+    EXPECT_THAT(readFile(folder_ / "trade.svg"), HasSubstr("</svg>"));
+    EXPECT_THAT(readFile(folder_ / "trade.png"), StartsWith("\x89PNG"));
+}
+
+TEST_F(BenchTest, PayShowsThatUnreadChannelsCostNoPage) {
+    const nlohmann::json pay = figures("pay");
+    ASSERT_GE(pay["features"].size(), 4u);
+    EXPECT_EQ(pay["features"][0]["pages_streamed"],
+              pay["absorption_of_a_dataset_of_density_alone"]["pages_streamed"]);
+    for (const auto& feature : pay["features"])
+        for (const char* key : {"bytes_streamed", "pages_streamed", "seconds"})
+            EXPECT_TRUE(feature.contains(key)) << feature["name"] << " " << key;
+}
+
+TEST_F(BenchTest, RefusesWhatIsNotThereInOneLine) {
+    EXPECT_EQ(bench("nonsense"), 2);
+    EXPECT_THAT(err_, HasSubstr("--help"));
+    for (const char* arguments : {"--data /nonexistent", "--output /nonexistent"}) {
+        EXPECT_EQ(bench(arguments), 1);
+        EXPECT_EQ(out_, "");
+        EXPECT_THAT(err_, HasSubstr("/nonexistent"));
+        EXPECT_EQ(err_.find('\n'), err_.size() - 1) << err_;
+    }
+    EXPECT_EQ(bench(fmt::format("pay --data '{}/scratch'", folder_.string())), 1);
+    EXPECT_THAT(err_, HasSubstr("no .vdb files"));
+}
+
+std::vector<PlotPanel> somePanels() {
+    PlotSeries line{"measured",
+                    {{1, 1e-3, "", false}, {10, 1e-5, "best", true}, {100, 0, "no place", false}}};
+    return {{"Left", "x", "y", true, true, {line}}, {"Right", "x", "y", false, false, {line, {"other", {}}}}};
+}
+
+TEST_F(BenchTest, APlotIsWrittenAsSvgAndAsPngOfTwiceItsWidth) {
+    const std::vector<PlotPanel> panels = somePanels();
+    const Result<void> written = writePlot(panels, folder_ / "plot", /*width=*/600);
+    ASSERT_TRUE(written) << written.error().message;
+    EXPECT_THAT(readFile(folder_ / "plot.svg"), HasSubstr("width=\"600"));
+    EXPECT_THAT(readFile(folder_ / "plot.svg"), HasSubstr("</svg>"));
+    png_image image{};
+    image.version = PNG_IMAGE_VERSION;
+    ASSERT_TRUE(png_image_begin_read_from_file(&image, (folder_ / "plot.png").c_str())) << image.message;
+    EXPECT_EQ(image.width, 1200u);
+    png_image_free(&image);
+}
+
+TEST_F(BenchTest, APlotThatCannotBeWrittenSaysWhere) {
+    const Result<void> written = writePlot(somePanels(), folder_ / "absent" / "plot");
+    ASSERT_FALSE(written);
+    EXPECT_EQ(written.error().code, ErrorCode::kIo);
+    EXPECT_THAT(written.error().message, HasSubstr("absent/plot.svg"));
+}
+
+TEST(PlotAxis, HoldsItsValuesAndNumbersSomeTicks) {
+    for (const bool logarithmic : {false, true}) {
+        for (const std::vector<double>& values : {std::vector<double>{},
+                                                  {3},
+                                                  {0.2, 0.3},
+                                                  {1e-6, 1e3},
+                                                  {0, -1, NAN, INFINITY, 5},
+                                                  {1e-300, 1e300}}) {
+            const PlotAxis axis(values, logarithmic);
+            for (const double value : values) {
+                if (!axis.shows(value)) continue;
+                EXPECT_GE(axis.place(value), 0) << value;
+                EXPECT_LE(axis.place(value), 1) << value;
+            }
+            std::size_t numbered = 0;
+            for (const PlotAxis::Tick& tick : axis.ticks()) numbered += !tick.label.empty();
+            EXPECT_GE(numbered, 1u) << values.size() << " values, logarithmic " << logarithmic;
+            EXPECT_LT(axis.ticks().size(), 10000u);
+        }
+    }
+}
+
+}  // namespace
+}  // namespace brickyard

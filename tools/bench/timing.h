@@ -1,0 +1,35 @@
+// Seconds of runs that are repeated. Plain values.
+#pragma once
+
+#include <algorithm>
+#include <chrono>
+#include <numeric>
+#include <vector>
+
+namespace brickyard {
+
+class Timing {
+public:
+    void add(double seconds) {
+        seconds_.insert(std::upper_bound(seconds_.begin(), seconds_.end(), seconds), seconds);
+    }
+    // REQUIRES: something was added.
+    double median() const {
+        const std::size_t half = seconds_.size() / 2;
+        return seconds_.size() % 2 == 1 ? seconds_[half] : 0.5 * (seconds_[half - 1] + seconds_[half]);
+    }
+    double best() const { return seconds_.front(); }
+    double total() const { return std::accumulate(seconds_.begin(), seconds_.end(), 0.0); }
+
+private:
+    std::vector<double> seconds_;  // ascending
+};
+
+template <class Body>
+double secondsOf(const Body& body) {
+    const auto begin = std::chrono::steady_clock::now();
+    body();
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+}
+
+}  // namespace brickyard
