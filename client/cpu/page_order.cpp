@@ -81,7 +81,7 @@ private:
             if (planRank(scope_.nodes[unit.drawn].key, unit.drawn_draft) <= rank) continue;
             unit.drawn = c.node;
             unit.drawn_draft = c.draft;
-            unit.drawn_square = planSquare(node, c.draft, scope_.nodes[unit.node].key);
+            unit.drawn_square = planSquare(node, c.draft, unit.region);
         }
         return true;
     }
@@ -101,7 +101,7 @@ private:
     void forEachCandidate(Add add) const {
         for (std::uint32_t i = 0; i < scope_.nodes.size(); ++i) {
             const PlanNode& node = scope_.nodes[i];
-            if (node.missing_children) add(Candidate{0, 0, i, false, true});
+            if (node.missing_block != PlanNode::kNone) add(Candidate{0, 0, i, false, true});
             // A root that was missing has been planned.
             const bool planned_root = node.parent == PlanNode::kNone && node.residency == Residency::kNone;
             if (node.residency == Residency::kNone && node.record().hasDraft() && !planned_root)
@@ -125,7 +125,7 @@ private:
         for (std::uint32_t u = node.begin; u < node.end; ++u) {
             const PlanUnit& unit = scope_.units[u];
             if (planRank(scope_.nodes[unit.drawn].key, unit.drawn_draft) <= rank) continue;
-            const double square = planSquare(node, c.draft, scope_.nodes[unit.node].key);
+            const double square = planSquare(node, c.draft, unit.region);
             sum += unit.measure * (unit.drawn_square - square);
         }
         c.worth = sum;

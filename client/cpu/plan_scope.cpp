@@ -1,6 +1,7 @@
 #include "client/cpu/plan_scope.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "client/cpu/node_error.h"
@@ -51,24 +52,25 @@ public:
     // Units of a subtree become neighbours: counted from below, placed from above.
     void arrangeUnits() {
         std::vector<PlanNode>& nodes = scope_.nodes;
-        std::vector<std::uint32_t> count(nodes.size(), 0);
+        std::vector<std::uint32_t> own(nodes.size(), 0), all(nodes.size(), 0);
+        for (const PlanUnit& unit : found_) ++own[unit.node];
         for (std::size_t i = nodes.size(); i-- > 0;) {
-            if (bottoms_[i].measure > 0) ++count[i];
-            if (nodes[i].parent != PlanNode::kNone) count[nodes[i].parent] += count[i];
+            all[i] += own[i];
+            if (nodes[i].parent != PlanNode::kNone) all[nodes[i].parent] += all[i];
         }
-        std::vector<std::uint32_t> next(nodes.size(), 0);
+        std::vector<std::uint32_t> next(nodes.size());
         std::uint32_t total = 0;
         for (std::size_t i = 0; i < nodes.size(); ++i) {
             std::uint32_t& place = nodes[i].parent == PlanNode::kNone ? total : next[nodes[i].parent];
-            nodes[i].begin = next[i] = place;
-            nodes[i].end = place += count[i];
+            nodes[i].begin = place;
+            next[i] = place + own[i];
+            nodes[i].end = place += all[i];
         }
-        scope_.units.resize(total);
-        for (std::size_t i = 0; i < nodes.size(); ++i) {
-            PlanUnit& bottom = bottoms_[i];
-            if (bottom.measure <= 0) continue;
-            bottom.drawn_square = planSquare(nodes[bottom.drawn], bottom.drawn_draft, nodes[i].key);
-            scope_.units[next[i]++] = bottom;
+        for (std::size_t i = 0; i < nodes.size(); ++i) next[i] = nodes[i].begin;
+        scope_.units.resize(found_.size());
+        for (PlanUnit& unit : found_) {
+            unit.drawn_square = planSquare(nodes[unit.drawn], unit.drawn_draft, unit.region);
+            scope_.units[next[unit.node]++] = unit;
         }
     }
 
@@ -100,7 +102,8 @@ private:
         walkOctree(
             channel_, ray, span, [](const WalkedNode&) { return false; },
             [&](const WalkedNode& root) {
-                if (root.status == WalkStatus::kNode) visit(root, PlanNode::kNone, PlanNode::kNone, 0);
+                if (root.status == WalkStatus::kNode && root.record().hasBrick())
+                    visit(root, PlanNode::kNone, PlanNode::kNone, 0);
                 return true;
             });
     }
@@ -111,38 +114,70 @@ private:
         std::uint32_t& at = places[node.ref.node];
         if (at == PlanNode::kNone) {
             at = std::uint32_t(scope_.nodes.size());
-            scope_.nodes.push_back(
-                {node.ref, node.key, node.block, parent, tree_.at(node.ref), false, 0, 0, 0});
-            bottoms_.emplace_back();
-            bottoms_.back().node = at;
+            PlanNode& added = scope_.nodes.emplace_back();
+            added.ref = node.ref;
+            added.key = node.key;
+            added.block = node.block;
+            added.parent = parent;
+            added.residency = tree_.at(node.ref);
+            units_of_.emplace_back().fill(PlanNode::kNone);
         }
         return at;
     }
 
     // `drawn`: the node above that is drawn, `depth` levels up. A root that is not there is planned as if it
-    // were: it comes first anyway.
+    // were: it comes first anyway. REQUIRES: the node has a brick.
     void visit(const WalkedNode& node, std::uint32_t parent, std::uint32_t drawn, int depth) {
-        if (!node.record().hasBrick()) return;  // exact as it is
         const std::uint32_t at = place(node, parent);
         if (drawn == PlanNode::kNone || scope_.nodes[at].residency != Residency::kNone) drawn = at, depth = 0;
-        if (canDescend(node) && (depth < kLookAhead || tree_.below(node.ref))) {
-            bool missing = false;
-            walkChildren(channel_, *ray_, node, [&](const WalkedNode& child) {
-                if (child.status == WalkStatus::kMissingBlock) {
-                    missing = true;
-                    scope_.nodes[at].missing_children = true;
-                    scope_.nodes[at].missing_block = child.missing_block;
-                } else if (child.status == WalkStatus::kNode) {
-                    visit(child, at, drawn, depth + 1);
-                }
-                return true;
-            });
-            if (!missing) return;
+        if (!canDescend(node) || !(depth < kLookAhead || tree_.below(node.ref))) {
+            measure(at, drawn, node.span);
+            return;
         }
-        PlanUnit& unit = bottoms_[at];
-        unit.measure += per_length_ * (node.span.end - node.span.begin);
-        unit.drawn = drawn;
-        unit.drawn_draft = scope_.nodes[drawn].residency == Residency::kDraft;
+        walkChildren(channel_, *ray_, node, [&](const WalkedNode& child) {
+            if (child.status == WalkStatus::kMissingBlock) {
+                scope_.nodes[at].missing_block = child.missing_block;
+                measure(at, drawn, node.span);
+            } else if (child.status == WalkStatus::kNode && child.record().hasBrick()) {
+                visit(child, at, drawn, depth + 1);
+            }
+            return true;
+        });
+    }
+
+    // Adds a stretch in a node to the node's units, octant by octant.
+    void measure(std::uint32_t node, std::uint32_t drawn, RaySpan span) {
+        const NodeKey key = scope_.nodes[node].key;
+        const glm::dvec3 middle = nodeLow(key, channel_.shape()) + 0.5 * nodeEdge(key, channel_.shape());
+        double cuts[5] = {span.begin};
+        int count = 1;
+        for (int a = 0; a < 3; ++a) {
+            if (ray_->parallel[a]) continue;
+            const double t = ray_->planeAt(a, middle[a]);
+            if (t > span.begin && t < span.end) cuts[count++] = t;
+        }
+        cuts[count++] = span.end;
+        std::sort(cuts, cuts + count);
+        for (int i = 0; i + 1 < count; ++i) {
+            const double t = 0.5 * (cuts[i] + cuts[i + 1]);
+            int octant = 0;
+            for (int a = 0; a < 3; ++a)
+                if (ray_->origin[a] + t * ray_->direction[a] >= middle[a]) octant |= 1 << a;
+            unitOf(node, octant, drawn).measure += per_length_ * (cuts[i + 1] - cuts[i]);
+        }
+    }
+
+    PlanUnit& unitOf(std::uint32_t node, int octant, std::uint32_t drawn) {
+        std::uint32_t& at = units_of_[node][std::size_t(octant)];
+        if (at == PlanNode::kNone) {
+            at = std::uint32_t(found_.size());
+            PlanUnit& unit = found_.emplace_back();
+            unit.node = node;
+            unit.region = scope_.nodes[node].key.child(octant);
+            unit.drawn = drawn;
+            unit.drawn_draft = scope_.nodes[drawn].residency == Residency::kDraft;
+        }
+        return found_[at];
     }
 
     PlanScope& scope_;
@@ -150,8 +185,9 @@ private:
     const PinholeCamera& camera_;
     const ResidentTree& tree_;
     const PlanRequest& request_;
-    std::vector<std::vector<std::uint32_t>> index_;  // by block, by node: place in scope_.nodes
-    std::vector<PlanUnit> bottoms_;                  // beside scope_.nodes; measure 0 where it is no unit
+    std::vector<std::vector<std::uint32_t>> index_;       // by block, by node: place in scope_.nodes
+    std::vector<std::array<std::uint32_t, 8>> units_of_;  // beside nodes, by octant: place in found_
+    std::vector<PlanUnit> found_;
     const IndexRay* ray_ = nullptr;
     double per_length_ = 0;
 };

@@ -15,18 +15,17 @@ struct PlanNode {
     const TreeBlock* block = nullptr;
     std::uint32_t parent = kNone;  // stands before the node
     Residency residency = Residency::kNone;
-    bool missing_children = false;  // a ray went no further because this block had not arrived:
-    std::uint32_t missing_block = 0;
-    // Its units.
-    std::uint32_t begin = 0, end = 0;
+    std::uint32_t missing_block = kNone;  // that of its children, where rays went no further for lack of it
+    std::uint32_t begin = 0, end = 0;     // its units and those of nodes below
 
     static constexpr std::uint32_t kNone = 0xffffffffu;
     const NodeRecord& record() const { return block->record(ref.node); }
 };
 
-// A region that is planned as one: a node that rays were not followed below.
+// A region that is planned as one: an octant of a node that rays were not followed below.
 struct PlanUnit {
     std::uint32_t node = 0;
+    NodeKey region;  // a level below the node's, level -1 included
     // Sum over rays of (transmittance x scale)^2 x length in it x length of an index unit: times a mean
     // square deviation and a level's cell edge it is squared error of alpha.
     double measure = 0;
@@ -46,8 +45,8 @@ struct PlanScope {
               const PlanRequest& request);
 };
 
-// Mean square of the effective deviation of a node's brick (or its draft) over `region`, which is the node or
-// one below it, times the cell edge of the node's level in index units.
+// Mean square of the effective deviation of a node's brick (or its draft) over `region`, which is below it,
+// times the cell edge of the node's level in index units.
 double planSquare(const PlanNode& node, bool draft, const NodeKey& region);
 
 // Of two pages above a point, the one of lower rank is drawn.
