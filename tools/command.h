@@ -20,6 +20,7 @@ void addExportCommand(CLI::App& app, int& status);
 void addSampleCommand(CLI::App& app, int& status);
 void addServeCommand(CLI::App& app, int& status);
 void addRenderCommand(CLI::App& app, int& status);
+void addBenchCommand(CLI::App& app, int& status);
 
 // Prints "brickyard COMMAND: message" on stderr and gives kExitFailed.
 int reportError(const std::string& command, const Error& error);

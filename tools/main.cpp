@@ -45,6 +45,15 @@ constexpr CommandEntry kCommands[] = {
 #else
     {"render", nullptr, "BRICKYARD_CLIENT"},
 #endif
+#if defined(BRICKYARD_WITH_BENCH)
+    {"bench", addBenchCommand, "BRICKYARD_BENCH"},
+#elif !defined(BRICKYARD_WITH_OPENVDB)
+    {"bench", nullptr, "BRICKYARD_OPENVDB"},
+#elif !defined(BRICKYARD_WITH_CLIENT)
+    {"bench", nullptr, "BRICKYARD_CLIENT"},
+#else
+    {"bench", nullptr, "BRICKYARD_BENCH"},
+#endif
 };
 
 // Takes any arguments, so that the answer is the missing option and not a complaint about the first of them.

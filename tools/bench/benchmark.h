@@ -1,0 +1,36 @@
+// The shape of a benchmark of `brickyard bench`: it measures, prints a table for a person through
+// BenchOptions::print, and gives its figures as JSON. docs/bench.md says what each measures and how to read
+// it.
+//
+// One benchmark runs at a time, on the thread that called it; it may use every processor.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "core/result.h"
+
+namespace brickyard {
+
+struct BenchOptions {
+    std::filesystem::path data;     // caches to measure with; exists
+    std::filesystem::path output;   // where files such as trade.csv go; exists
+    std::filesystem::path scratch;  // empty; datasets go here. Its owner removes it afterwards
+    std::uint32_t size = 512;       // pictures are size x size pixels
+    unsigned repeats = 5;           // of each timed run, interleaved with its peers; at least 1
+    // Takes lines for a person: tables and verdicts, on stdout. Does nothing under --json.
+    std::function<void(const std::string& text)> print;
+    // Takes one line on what is being done now, for stderr where that is a terminal.
+    std::function<void(const std::string& line)> progress;
+};
+
+// Each gives one JSON object. Errors: one line on what, where, what to do. A peer that is not installed is no
+// error: its figures are left out and the object says why.
+Result<nlohmann::json> benchRender(const BenchOptions& options);
+Result<nlohmann::json> benchTrade(const BenchOptions& options);
+Result<nlohmann::json> benchPay(const BenchOptions& options);
+
+}  // namespace brickyard

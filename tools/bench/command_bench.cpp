@@ -1,0 +1,178 @@
+// `brickyard bench`: chooses benchmarks, finds their data, prints what they measured.
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cstdio>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "core/io_error.h"
+#include "core/printable_name.h"
+#include "tools/bench/benchmark.h"
+#include "tools/command.h"
+
+namespace brickyard {
+namespace {
+
+struct Benchmark {
+    const char* name;
+    const char* what;  // one line of the help
+    Result<nlohmann::json> (*run)(const BenchOptions& options);
+};
+
+constexpr Benchmark kBenchmarks[] = {
+    {"render", "speed at equal error, beside NanoVDB, a plain cell walk and vdb_render", benchRender},
+    {"trade", "what error costs in bytes and seconds; whether estimates and bounds hold", benchTrade},
+    {"pay", "what each feature of a scene costs", benchPay},
+};
+
+struct BenchArguments {
+    std::vector<std::string> names;
+    std::string data, output = ".";
+    std::uint32_t size = 512;
+    unsigned repeats = 5;
+    bool json = false;
+};
+
+// Removed with all that is in it when the command ends, done or failed.
+class ScratchFolder {
+public:
+    static Result<ScratchFolder> create() {
+        std::error_code error;
+        const std::filesystem::path parent = std::filesystem::temp_directory_path(error);
+        std::string pattern = ((error ? "/tmp" : parent) / "brickyard-bench-XXXXXX").string();
+        if (!::mkdtemp(pattern.data())) return ioError("create a folder in", parent, errno);
+        return ScratchFolder(pattern);
+    }
+    ScratchFolder(ScratchFolder&& other) noexcept : path_(std::exchange(other.path_, {})) {}
+    ScratchFolder& operator=(ScratchFolder&&) = delete;
+    ~ScratchFolder() {
+        std::error_code ignored;
+        if (!path_.empty()) std::filesystem::remove_all(path_, ignored);
+    }
+    const std::filesystem::path& path() const { return path_; }
+
+private:
+    explicit ScratchFolder(std::filesystem::path path) : path_(std::move(path)) {}
+    std::filesystem::path path_;
+};
+
+// The caches beside the checkout where they are, else the three frames that come with it.
+std::filesystem::path findData(const std::string& asked) {
+    if (!asked.empty()) return asked;
+    const std::filesystem::path checkout = BRICKYARD_SOURCE_DIR;
+    const std::filesystem::path beside = checkout.parent_path() / "shared" / "data";
+    std::error_code ignored;
+    return std::filesystem::is_directory(beside, ignored) ? beside : checkout / "tests" / "data" / "plume";
+}
+
+Result<void> checkFolders(const BenchOptions& options) {
+    std::error_code ignored;
+    if (!std::filesystem::is_directory(options.data, ignored))
+        return fail(
+            ErrorCode::kNotFound,
+            fmt::format("--data {}: no such folder; name one that holds .vdb files", options.data.string()));
+    if (!std::filesystem::is_directory(options.output, ignored))
+        return fail(ErrorCode::kNotFound,
+                    fmt::format("--output {}: no such folder; make it first", options.output.string()));
+    return {};
+}
+
+Result<nlohmann::json> runAll(const std::vector<const Benchmark*>& chosen, const BenchArguments& arguments) {
+    Result<ScratchFolder> scratch = ScratchFolder::create();
+    if (!scratch) return tl::unexpected(scratch.error());
+    BenchOptions options;
+    options.data = findData(arguments.data);
+    options.output = arguments.output;
+    options.size = arguments.size;
+    options.repeats = arguments.repeats;
+    options.print = [&](const std::string& text) {
+        if (!arguments.json) fmt::print("{}\n", text);
+        std::fflush(stdout);
+    };
+    options.progress = [terminal = ::isatty(STDERR_FILENO) != 0](const std::string& line) {
+        if (terminal) fmt::print(stderr, "brickyard bench: {}\n", line);
+    };
+    if (Result<void> checked = checkFolders(options); !checked) return tl::unexpected(checked.error());
+    const unsigned processors = std::max(std::thread::hardware_concurrency(), 1u);
+    options.print(fmt::format("Data: {}; {} processors; pictures of {} x {}; medians of {}",
+                              options.data.string(), processors, options.size, options.size,
+                              options.repeats));
+
+    nlohmann::json all{{"data", validUtf8(options.data.string())},
+                       {"processors", processors},
+                       {"size", options.size},
+                       {"repeats", options.repeats}};
+    for (const Benchmark* benchmark : chosen) {
+        // Each begins with an empty folder, so that none depends on which ran before.
+        options.scratch = scratch->path() / benchmark->name;
+        std::error_code error;
+        if (!std::filesystem::create_directory(options.scratch, error))
+            return ioError("create", options.scratch, error.value());
+        Result<nlohmann::json> figures = benchmark->run(options);
+        if (!figures)
+            return fail(figures.error().code,
+                        fmt::format("{}: {}", benchmark->name, figures.error().message));
+        all[benchmark->name] = std::move(*figures);
+    }
+    return all;
+}
+
+int runBench(const BenchArguments& arguments) {
+    std::vector<const Benchmark*> chosen;
+    for (const Benchmark& benchmark : kBenchmarks)
+        if (arguments.names.empty() || std::find(arguments.names.begin(), arguments.names.end(),
+                                                 benchmark.name) != arguments.names.end())
+            chosen.push_back(&benchmark);
+    const Result<nlohmann::json> figures = runAll(chosen, arguments);
+    if (!figures) return reportError("bench", figures.error());
+    if (arguments.json) fmt::print("{}\n", figures->dump());
+    return kExitDone;
+}
+
+}  // namespace
+
+void addBenchCommand(CLI::App& app, int& status) {
+    const auto arguments = std::make_shared<BenchArguments>();
+    CLI::App* command = app.add_subcommand("bench", "Measure speed, error and bytes, beside other programs");
+    std::vector<std::string> names;
+    std::string footer = "Benchmarks:";
+    for (const Benchmark& benchmark : kBenchmarks) {
+        names.push_back(benchmark.name);
+        footer += fmt::format("\n  {:<8}{}", benchmark.name, benchmark.what);
+    }
+    command
+        ->add_option("NAME", arguments->names,
+                     fmt::format("Which: {}; all where none is named", fmt::join(names, ", ")))
+        ->check(CLI::IsMember(names))
+        ->type_name("");
+    command
+        ->add_option(
+            "--data", arguments->data,
+            "Folder of caches, laid out as ../shared/data, or any that holds .vdb files; without it\n"
+            "../shared/data beside the checkout, else the checkout's tests/data/plume")
+        ->type_name("DIR");
+    command->add_option("--output", arguments->output, "Folder for charts and tables")
+        ->type_name("DIR")
+        ->capture_default_str();
+    command->add_option("--size", arguments->size, "Pixels a side of each picture")
+        ->check(CLI::Range(8u, 4096u))
+        ->type_name("N")
+        ->capture_default_str();
+    command
+        ->add_option("--repeat", arguments->repeats, "Times that each timed run is repeated; medians count")
+        ->check(CLI::Range(1u, 1000u))
+        ->type_name("N")
+        ->capture_default_str();
+    command->add_flag("--json", arguments->json, "One JSON object on stdout and nothing else");
+    command->footer(footer +
+                    "\nDatasets are converted into a temporary folder, which is removed afterwards.");
+    command->callback([arguments, &status] { status = runBench(*arguments); });
+}
+
+}  // namespace brickyard
