@@ -13,6 +13,10 @@ namespace {
 // Levels that compete below what is drawn. Each costs twice the time of the one before along a ray.
 constexpr int kLookAhead = 4;
 
+// Along a ray the error of a level changes sign from voxel to voxel; that of a draft, which is quantised,
+// keeps it longer where the field is smooth. In voxels, measured: docs/decisions/0004-page-order.md.
+constexpr double kDraftRun = 3;
+
 // Pixels of a cell of the picture that one ray stands for.
 struct PixelCell {
     std::uint32_t x0, y0, x1, y1;
@@ -204,7 +208,8 @@ PlanScope::PlanScope(const PagedChannel& channel, const PinholeCamera& camera, c
 double planSquare(const PlanNode& node, bool draft, const NodeKey& region) {
     const NodeRecord& record = node.record();
     const double edge = cellEdge(node.key.level);
-    if (draft) return effectiveSquare(double(record.draft_rms), double(record.draft_bound)) * edge;
+    if (draft)
+        return effectiveSquare(double(record.draft_rms), double(record.draft_bound)) * edge * kDraftRun;
     const ErrorGrid* grid = node.block->errorGrid(node.ref.node);
     if (record.bound == 0 || !grid) return effectiveSquare(double(record.rms), double(record.bound)) * edge;
 
