@@ -15,6 +15,7 @@
 #include "core/dataset.h"
 #include "tools/command.h"
 #include "tools/progress_line.h"
+#include "tools/quality_preset.h"
 
 namespace brickyard {
 
@@ -47,14 +48,9 @@ Result<void> parsePictureSize(const std::string& text, std::uint32_t& width, std
                             kMaxEdge));
 }
 
-// What the presets mean (docs/quality.md): an error, and how many pixels a voxel may span before it must be
-// split.
 Result<QualitySettings> qualityOf(const RenderOptions& options) {
-    QualitySettings quality;
-    if (options.quality == "draft") quality = {.max_error = 0.15, .pixels_per_voxel = 4};
-    if (options.quality == "preview") quality = {.max_error = 0.05, .pixels_per_voxel = 2};
-    if (options.quality == "final") quality = {.max_error = 0.01, .pixels_per_voxel = 1};
-    if (options.quality == "reference") quality = {.reference = true};
+    // The command line lets no other name through.
+    QualitySettings quality = qualityPreset(options.quality).value_or(QualitySettings());
     if (options.max_error) {
         if (!(*options.max_error > 0 && *options.max_error <= 1))
             return fail(ErrorCode::kInvalid,
