@@ -40,7 +40,6 @@ public:
         else
             planByRank();
         plan_.error_after = error();
-        plan_.pages.insert(plan_.pages.begin(), blocks_.begin(), blocks_.end());
         return std::move(plan_);
     }
 
@@ -71,7 +70,7 @@ private:
             ++passed_over_;
             return false;
         }
-        (c.block ? blocks_ : plan_.pages).push_back({pageOf(c), bytes, c.worth});
+        plan_.pages.push_back({pageOf(c), bytes, c.worth});
         plan_.bytes += bytes;
         if (c.block) return true;
         const PlanNode& node = scope_.nodes[c.node];
@@ -197,7 +196,6 @@ private:
     const PlanRequest& request_;
     PlanScope scope_;
     PagePlan plan_;
-    std::vector<PlannedPage> blocks_;  // of the plan; they come first
     int passed_over_ = 0;
 };
 

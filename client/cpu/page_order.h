@@ -35,8 +35,7 @@ enum class PageOrder {
 
 struct PlanRequest {
     PageOrder order = PageOrder::kErrorPerByte;
-    // Extinction per world unit and unit of the channel. Only ratios of worth depend on it, and those not.
-    double scale = 1;
+    double scale = 1;  // extinction per world unit and unit of the channel
     // 1 - alpha of each pixel of the picture as it is drawn now, row by row; empty: 1 everywhere.
     std::span<const float> transmittance;
     // kProjectedSize: world distance at which each pixel's ray is opaque; empty: none is.
@@ -61,7 +60,7 @@ struct PlannedPage {
 };
 
 struct PagePlan {
-    // Tree blocks first, then pages, each best first. A page's block is there or stands before it.
+    // Tree blocks and pages, best first. Of each page the block has arrived already.
     std::vector<PlannedPage> pages;
     std::uint64_t bytes = 0;
     // Expected squared error of alpha, summed over pixels, before and after the plan's pages.

@@ -46,7 +46,6 @@ StreamRun runOrder(const StreamTable& table, const BrickStore& store, const Pinh
         request.scale = options.scale;
         request.transmittance = transmittance;
         request.opaque_distance = opaque;
-        request.stride = 1;
         request.batch_bytes = std::max(kLeastBatch, std::uint64_t(double(bytes) * options.batch_share));
         const PagePlan plan = planPages(*channel, camera, tree, request);
         seconds.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
@@ -78,8 +77,13 @@ namespace {
 
 class Oracle {
 public:
-    Oracle(const StreamTable& table, const StreamRunOptions& options)
-        : table_(table), options_(options), picture_(table), blocks_(table.channel().blockCount(), false) {}
+    Oracle(const StreamTable& table, const StreamRunOptions& options, bool bundles)
+        : table_(table),
+          options_(options),
+          bundles_(bundles),
+          picture_(table),
+          blocks_(table.channel().blockCount(), false),
+          children_(table.nodes().size()) {}
 
     StreamRun run() {
         for (std::uint32_t n = 0; n < table_.nodes().size(); ++n) {
@@ -87,9 +91,8 @@ public:
             if (node.parent == StreamNode::kNoStreamNode)
                 take({0, {{n, node.draft_bytes > 0}}});
             else
-                children_.resize(table_.nodes().size()), children_[node.parent].push_back(n);
+                children_[node.parent].push_back(n);
         }
-        children_.resize(table_.nodes().size());
         std::size_t steps = 0;
         while (picture_.psnr() < options_.stop_psnr) {
             // Squared error is no sum over pages: a page may gain from another one.
@@ -117,19 +120,24 @@ private:
 
     std::size_t refreshEvery() const { return 1 + table_.nodes().size() / 100; }
 
+    // Blocks on the way to the pages that have not been loaded.
+    std::vector<std::uint32_t> missingBlocks(const Step& step) const {
+        std::vector<std::uint32_t> missing;
+        for (const StreamPage& page : step.pages)
+            for (std::uint32_t a = page.node; a != StreamNode::kNoStreamNode; a = table_.nodes()[a].parent) {
+                const std::uint32_t block = table_.nodes()[a].ref.block;
+                if (!blocks_[block] && std::find(missing.begin(), missing.end(), block) == missing.end())
+                    missing.push_back(block);
+            }
+        return missing;
+    }
+
     std::uint64_t bytesOf(const Step& step) const {
         std::uint64_t bytes = 0;
-        std::vector<std::uint32_t> blocks;
+        for (std::uint32_t block : missingBlocks(step)) bytes += table_.channel().blockBytes(block);
         for (const StreamPage& page : step.pages) {
             const StreamNode& node = table_.nodes()[page.node];
             bytes += page.draft ? node.draft_bytes : node.payload_bytes;
-            for (std::uint32_t a = page.node; a != StreamNode::kNoStreamNode; a = table_.nodes()[a].parent) {
-                const std::uint32_t block = table_.nodes()[a].ref.block;
-                if (blocks_[block] || std::find(blocks.begin(), blocks.end(), block) != blocks.end())
-                    continue;
-                blocks.push_back(block);
-                bytes += table_.channel().blockBytes(block);
-            }
         }
         return bytes;
     }
@@ -152,6 +160,7 @@ private:
         for (std::uint32_t n = 0; n < table_.nodes().size(); ++n) {
             if (table_.nodes()[n].draft_bytes > 0) consider({{n, true}});
             consider({{n, false}});
+            if (!bundles_) continue;
             std::vector<StreamPage> together;
             for (std::uint32_t c : children_[n]) together.push_back({c, table_.nodes()[c].draft_bytes > 0});
             if (together.size() > 1) consider(std::move(together));
@@ -170,24 +179,35 @@ private:
                 queue_.push(std::move(best));
                 continue;
             }
+            // Blocks that are paid for leave the choice open again: what was best for many pages may not be
+            // best for one.
+            if (const std::vector<std::uint32_t> missing = missingBlocks(best); !missing.empty()) {
+                for (std::uint32_t block : missing) load(block);
+                refresh();
+                continue;
+            }
             take(best);
             return true;
         }
         return false;
     }
 
+    void load(std::uint32_t block) {
+        bytes_ += table_.channel().blockBytes(block);
+        blocks_[block] = true;
+        run_.points.push_back({bytes_, picture_.psnr(), picture_.worst()});
+    }
+
     void take(const Step& step) {
+        for (std::uint32_t block : missingBlocks(step)) load(block);
         bytes_ += bytesOf(step);
-        for (const StreamPage& page : step.pages) {
-            for (std::uint32_t a = page.node; a != StreamNode::kNoStreamNode; a = table_.nodes()[a].parent)
-                blocks_[table_.nodes()[a].ref.block] = true;
-            picture_.add(page);
-        }
+        for (const StreamPage& page : step.pages) picture_.add(page);
         run_.points.push_back({bytes_, picture_.psnr(), picture_.worst()});
     }
 
     const StreamTable& table_;
     const StreamRunOptions& options_;
+    const bool bundles_;  // whether a node's children may be taken together
     StreamPicture picture_;
     std::vector<bool> blocks_;
     std::vector<std::vector<std::uint32_t>> children_;
@@ -199,7 +219,19 @@ private:
 }  // namespace
 
 StreamRun runOracle(const StreamTable& table, const StreamRunOptions& options) {
-    return Oracle(table, options).run();
+    // Greedy is not the best there is: of two greedy runs, whichever is ahead.
+    std::vector<StreamPoint> all;
+    for (bool bundles : {false, true}) {
+        const StreamRun run = Oracle(table, options, bundles).run();
+        all.insert(all.end(), run.points.begin(), run.points.end());
+    }
+    std::sort(all.begin(), all.end(), [](const StreamPoint& a, const StreamPoint& b) {
+        return std::tuple(a.bytes, -a.psnr) < std::tuple(b.bytes, -b.psnr);
+    });
+    StreamRun best;
+    for (const StreamPoint& point : all)
+        if (best.points.empty() || point.psnr > best.points.back().psnr) best.points.push_back(point);
+    return best;
 }
 
 }  // namespace brickyard

@@ -34,8 +34,9 @@ struct StreamRunOptions {
 StreamRun runOrder(const StreamTable& table, const BrickStore& store, const PinholeCamera& camera,
                    PageOrder order, const StreamRunOptions& options);
 
-// Knows every brick and the reference, and takes the page (at any level below what is drawn, draft or whole),
-// or all of a node's children together, that takes most squared error off the picture per byte.
+// Knows every brick and the reference, and takes, greedily, the page (at any level below what is drawn, draft
+// or whole), or all of a node's children together, that takes most squared error off the picture per byte.
+// The better of two runs, one of single pages only.
 StreamRun runOracle(const StreamTable& table, const StreamRunOptions& options);
 
 }  // namespace brickyard
