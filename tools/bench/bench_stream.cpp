@@ -76,8 +76,7 @@ Result<double> scaleFor(const BrickStore& store, std::uint32_t channel, const Pi
     const Result<StreamTable> table = StreamTable::create(store, channel, camera, 1);
     if (!table) return tl::unexpected(table.error());
     std::vector<double> depth(table->rayCount(), 0.0);
-    for (const StreamStretch& s : table->stretches())
-        depth[s.ray] += double(s.is_exact ? s.exact : table->value(s, table->nodes()[s.node].depth));
+    for (const StreamStretch& s : table->stretches()) depth[s.ray] += double(table->reference(s));
     std::erase_if(depth, [](double d) { return !(d > 0); });
     if (depth.empty()) return 1.0;
     std::nth_element(depth.begin(), depth.begin() + std::ptrdiff_t(depth.size() / 2), depth.end());

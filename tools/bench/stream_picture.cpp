@@ -22,10 +22,10 @@ StreamPicture::StreamPicture(const StreamTable& table)
       drawn_(table.stretches().size(), 0.0f),
       rank_(table.stretches().size(), kNothingDrawn),
       depth_(table.rayCount(), 0.0),
-      change_(table.rayCount(), 0.0) {
+      change_(table.rayCount(), 0.0),
+      off_(table.rayCount(), 0.0) {
     std::vector<double> depth(table.rayCount(), 0.0);
-    for (const StreamStretch& s : table.stretches())
-        depth[s.ray] += double(s.is_exact ? s.exact : table.value(s, table.nodes()[s.node].depth));
+    for (const StreamStretch& s : table.stretches()) depth[s.ray] += double(table.reference(s));
     for (double d : depth) {
         reference_.push_back(float(-std::expm1(-d)));
         squared_error_ += double(reference_.back()) * double(reference_.back());
@@ -74,23 +74,38 @@ void StreamPicture::add(const StreamPage& page) {
         below_[a] = 1;
 }
 
-double StreamPicture::gainOf(std::span<const StreamPage> pages) {
+void StreamPicture::collectChange(std::span<const StreamPage> pages) {
     changed_.clear();
     bool first = true;
     for (const StreamPage& page : pages) {
         // Siblings share their ancestors.
         forEachChange(page, first, [&](std::uint32_t s, float value, int) {
-            const std::uint32_t ray = table_.stretches()[s].ray;
-            if (change_[ray] == 0) changed_.push_back(ray);
-            change_[ray] += double(value) - double(drawn_[s]);
+            const StreamStretch& stretch = table_.stretches()[s];
+            if (change_[stretch.ray] == 0 && off_[stretch.ray] == 0) changed_.push_back(stretch.ray);
+            change_[stretch.ray] += double(value) - double(drawn_[s]);
+            off_[stretch.ray] += double(drawn_[s]) - double(table_.reference(stretch));
         });
         first = false;
     }
+}
+
+double StreamPicture::gainOf(std::span<const StreamPage> pages) {
+    collectChange(pages);
     double gain = 0;
     for (std::uint32_t ray : changed_) {
-        if (change_[ray] == 0) continue;
         gain += errorOf(ray, depth_[ray]) - errorOf(ray, depth_[ray] + change_[ray]);
-        change_[ray] = 0;
+        change_[ray] = off_[ray] = 0;
+    }
+    return gain;
+}
+
+double StreamPicture::ownGainOf(std::span<const StreamPage> pages) {
+    collectChange(pages);
+    double gain = 0;
+    for (std::uint32_t ray : changed_) {
+        const double seen = 1 - double(reference_[ray]), then = off_[ray] + change_[ray];
+        gain += seen * seen * (off_[ray] * off_[ray] - then * then);
+        change_[ray] = off_[ray] = 0;
     }
     return gain;
 }

@@ -27,6 +27,9 @@ public:
     // Sum over pixels of the squared error of alpha that the pages together would take off. They must not lie
     // above one another.
     double gainOf(std::span<const StreamPage> pages);
+    // The same where the errors of other parts of a ray do not count: they neither hide what the pages repair
+    // nor make up for it.
+    double ownGainOf(std::span<const StreamPage> pages);
 
     double squaredError() const { return squared_error_; }
     double psnr() const;
@@ -37,7 +40,7 @@ public:
     std::vector<float> opaqueDistance(double opaque) const;
 
 private:
-    float drawnValue(const StreamStretch& stretch) const;
+    void collectChange(std::span<const StreamPage> pages);
     template <class Change>
     void forEachChange(const StreamPage& page, bool ancestors, Change change) const;
     double errorOf(std::uint32_t ray, double depth) const;
@@ -50,8 +53,8 @@ private:
     std::vector<double> depth_;            // by ray
     std::vector<float> reference_;         // by ray: alpha
     double squared_error_ = 0;
-    // Of gainOf: by ray, what would change.
-    std::vector<double> change_;
+    // Of the gains: by ray, what would change, and by how much that is off now.
+    std::vector<double> change_, off_;
     std::vector<std::uint32_t> changed_;
 };
 

@@ -75,12 +75,19 @@ StreamRun runOrder(const StreamTable& table, const BrickStore& store, const Pinh
 
 namespace {
 
+// What a greedy oracle chooses from, and by.
+enum class OracleKind {
+    kSingle,    // single pages
+    kTogether,  // these, and a node's children together
+    kOwnError,  // single pages, by their own error: no page is taken for making up for another's
+};
+
 class Oracle {
 public:
-    Oracle(const StreamTable& table, const StreamRunOptions& options, bool bundles)
+    Oracle(const StreamTable& table, const StreamRunOptions& options, OracleKind kind)
         : table_(table),
           options_(options),
-          bundles_(bundles),
+          kind_(kind),
           picture_(table),
           blocks_(table.channel().blockCount(), false),
           children_(table.nodes().size()) {}
@@ -143,7 +150,8 @@ private:
     }
 
     void weigh(Step& step) {
-        const double gain = picture_.gainOf(step.pages);
+        const double gain =
+            kind_ == OracleKind::kOwnError ? picture_.ownGainOf(step.pages) : picture_.gainOf(step.pages);
         step.rate = gain / double(bytesOf(step));
     }
 
@@ -160,7 +168,7 @@ private:
         for (std::uint32_t n = 0; n < table_.nodes().size(); ++n) {
             if (table_.nodes()[n].draft_bytes > 0) consider({{n, true}});
             consider({{n, false}});
-            if (!bundles_) continue;
+            if (kind_ != OracleKind::kTogether) continue;
             std::vector<StreamPage> together;
             for (std::uint32_t c : children_[n]) together.push_back({c, table_.nodes()[c].draft_bytes > 0});
             if (together.size() > 1) consider(std::move(together));
@@ -207,7 +215,7 @@ private:
 
     const StreamTable& table_;
     const StreamRunOptions& options_;
-    const bool bundles_;  // whether a node's children may be taken together
+    const OracleKind kind_;
     StreamPicture picture_;
     std::vector<bool> blocks_;
     std::vector<std::vector<std::uint32_t>> children_;
@@ -219,10 +227,10 @@ private:
 }  // namespace
 
 StreamRun runOracle(const StreamTable& table, const StreamRunOptions& options) {
-    // Greedy is not the best there is: of two greedy runs, whichever is ahead.
+    // Greedy is not the best there is: of three greedy runs, whichever is ahead.
     std::vector<StreamPoint> all;
-    for (bool bundles : {false, true}) {
-        const StreamRun run = Oracle(table, options, bundles).run();
+    for (OracleKind kind : {OracleKind::kSingle, OracleKind::kTogether, OracleKind::kOwnError}) {
+        const StreamRun run = Oracle(table, options, kind).run();
         all.insert(all.end(), run.points.begin(), run.points.end());
     }
     std::sort(all.begin(), all.end(), [](const StreamPoint& a, const StreamPoint& b) {

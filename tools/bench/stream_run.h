@@ -35,8 +35,9 @@ StreamRun runOrder(const StreamTable& table, const BrickStore& store, const Pinh
                    PageOrder order, const StreamRunOptions& options);
 
 // Knows every brick and the reference, and takes, greedily, the page (at any level below what is drawn, draft
-// or whole), or all of a node's children together, that takes most squared error off the picture per byte.
-// The better of two runs, one of single pages only.
+// or whole) that takes most squared error off the picture per byte. At each number of bytes the best of three
+// runs: of single pages; of these and all of a node's children together; and of single pages by the error of
+// their own parts of the rays.
 StreamRun runOracle(const StreamTable& table, const StreamRunOptions& options);
 
 }  // namespace brickyard

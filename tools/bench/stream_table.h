@@ -51,6 +51,10 @@ public:
     const std::vector<StreamNode>& nodes() const { return nodes_; }
     const std::vector<StreamStretch>& stretches() const { return stretches_; }
     float value(const StreamStretch& s, std::uint32_t depth) const { return values_[s.values + depth]; }
+    // With every page there.
+    float reference(const StreamStretch& s) const {
+        return s.is_exact ? s.exact : values_[s.values + nodes_[s.node].depth];
+    }
     // The node of a page; kNoStreamNode where no ray meets it.
     std::uint32_t find(const NodeRef& ref) const;
     // The stretches of a ray, front to back, and where each ends (world distance).
