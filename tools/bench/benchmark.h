@@ -32,5 +32,6 @@ struct BenchOptions {
 Result<nlohmann::json> benchRender(const BenchOptions& options);
 Result<nlohmann::json> benchTrade(const BenchOptions& options);
 Result<nlohmann::json> benchPay(const BenchOptions& options);
+Result<nlohmann::json> benchStream(const BenchOptions& options);
 
 }  // namespace brickyard

@@ -29,6 +29,7 @@ constexpr Benchmark kBenchmarks[] = {
     {"render", "speed at equal error, beside NanoVDB, a plain cell walk and vdb_render", benchRender},
     {"trade", "what error costs in bytes and seconds; whether estimates and bounds hold", benchTrade},
     {"pay", "what each feature of a scene costs", benchPay},
+    {"stream", "picture by bytes for our order of pages, others and an oracle", benchStream},
 };
 
 struct BenchArguments {
