@@ -7,6 +7,7 @@
 #include <ImfOutputFile.h>
 #include <fmt/format.h>
 #include <png.h>
+#include <span>
 
 #include <algorithm>
 #include <cmath>
@@ -128,28 +129,46 @@ Result<Picture> readExr(const std::filesystem::path& file) {
     }
 }
 
-Result<void> writeExr(const Picture& picture, const std::filesystem::path& file) {
+namespace {
+
+// `stride` bytes from pixel to pixel; layers are floats at their offsets.
+Result<void> writeLayers(const void* pixels, std::size_t stride, std::uint32_t width, std::uint32_t height,
+                         std::span<const Layer> layers, const std::filesystem::path& file) {
     return writeThenRename(file, [&](const std::filesystem::path& temporary) -> Result<void> {
         try {
-            Imf::Header header(int(picture.width), int(picture.height));
+            Imf::Header header{int(width), int(height)};
             header.compression() = Imf::ZIP_COMPRESSION;
             Imf::FrameBuffer frame;
-            for (const Layer& layer : layers()) {
+            for (const Layer& layer : layers) {
                 header.channels().insert(layer.name, Imf::Channel(Imf::FLOAT));
                 // OpenEXR's slices are not const; writing only reads.
-                char* base =
-                    const_cast<char*>(reinterpret_cast<const char*>(picture.pixels.data())) + layer.offset;
-                frame.insert(layer.name,
-                             Imf::Slice(Imf::FLOAT, base, sizeof(Pixel), sizeof(Pixel) * picture.width));
+                char* base = const_cast<char*>(static_cast<const char*>(pixels)) + layer.offset;
+                frame.insert(layer.name, Imf::Slice(Imf::FLOAT, base, stride, stride * width));
             }
             Imf::OutputFile out(temporary.c_str(), header);
             out.setFrameBuffer(frame);
-            out.writePixels(int(picture.height));
+            out.writePixels(int(height));
             return {};
         } catch (const std::exception& e) {
             return fail(ErrorCode::kIo, fmt::format("{}: cannot be written: {}", file.string(), e.what()));
         }
     });
+}
+
+}  // namespace
+
+Result<void> writeExr(const Picture& picture, const std::filesystem::path& file) {
+    return writeLayers(picture.pixels.data(), sizeof(Pixel), picture.width, picture.height, layers(), file);
+}
+
+Result<void> writeExplanation(std::uint32_t width, std::uint32_t height, const std::vector<PixelWhy>& why,
+                              const std::filesystem::path& file) {
+    static constexpr Layer kLayers[] = {{"level", offsetof(PixelWhy, level)},
+                                        {"queued", offsetof(PixelWhy, queued)},
+                                        {"overBudget", offsetof(PixelWhy, over_budget)},
+                                        {"failed", offsetof(PixelWhy, failed)},
+                                        {"noFinerData", offsetof(PixelWhy, no_finer_data)}};
+    return writeLayers(why.data(), sizeof(PixelWhy), width, height, kLayers, file);
 }
 
 Result<void> writePng(const Picture& picture, const std::array<float, 3>& background,

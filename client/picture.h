@@ -22,6 +22,15 @@ struct Pixel {
     float estimate_radiance = 0;
 };
 
+// Why a pixel looks as it does.
+struct PixelWhy {
+    float level = 0;  // mean level of what was drawn, weighted by optical depth
+    // Stretches of its ray that are drawn coarser than the data because pages are still queued, over the
+    // budget of bytes, or cannot be had.
+    float queued = 0, over_budget = 0, failed = 0;
+    float no_finer_data = 0;  // 1 where the finest level leaves it above the error asked for
+};
+
 struct Picture {
     std::uint32_t width = 0, height = 0;
     std::vector<Pixel> pixels;
@@ -40,6 +49,9 @@ Result<void> writeExr(const Picture& picture, const std::filesystem::path& file)
 // Any scan-line EXR with at least R G B; its other channels where they have our names. Alpha is 1 where the
 // file has none. Errors: kNotFound, kCorrupt (no EXR, damaged, no R G B, more than 2^28 pixels).
 Result<Picture> readExr(const std::filesystem::path& file);
+// Float32 EXR with channels level, queued, overBudget, failed, noFinerData. Errors: kIo.
+Result<void> writeExplanation(std::uint32_t width, std::uint32_t height, const std::vector<PixelWhy>& why,
+                              const std::filesystem::path& file);
 // 8 bits, composed over `background` (linear RGB), sRGB-encoded, opaque. Errors: kIo.
 Result<void> writePng(const Picture& picture, const std::array<float, 3>& background,
                       const std::filesystem::path& file);

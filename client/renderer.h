@@ -28,6 +28,7 @@ struct RenderRequest {
     unsigned threads = 0;  // 0: one per processor
     // A final picture is traced this many times more with all of its pages resident, for the time that takes.
     unsigned repeats = 0;
+    bool explain = false;  // fill in RenderOutcome::why
     // Told after each pass: pixels final, of how many, and bytes streamed. May be empty.
     std::function<void(std::uint64_t done, std::uint64_t pixels, std::uint64_t bytes)> progress;
 };
@@ -42,6 +43,7 @@ struct NotFinal {
 
 struct RenderOutcome {
     Picture picture;
+    std::vector<PixelWhy> why;  // by pixel, where it was asked for
     std::array<float, 3> background{};
     Camera camera;  // as used
     bool final = false;

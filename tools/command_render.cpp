@@ -27,7 +27,7 @@ constexpr std::uint32_t kMaxSampleEdge = 16;
 
 struct RenderOptions {
     std::string source, output, size = "640x480", camera, scene, quality = "final", cache = "1G", max_bytes,
-                                token_file;
+                                token_file, explain;
     std::string device = "cpu";
     std::optional<std::uint32_t> frame;
     std::optional<double> density_scale, max_error, deadline;
@@ -188,7 +188,10 @@ Result<RenderRequest> requestOf(const RenderOptions& options) {
             fmt::format("--device {}: this build renders on the CPU; use --device cpu", options.device));
     request.threads = options.threads;
     request.repeats = options.repeats;
+    request.explain = !options.explain.empty();
     const std::filesystem::path output(options.output);
+    if (!options.explain.empty() && std::filesystem::path(options.explain).extension() != ".exr")
+        return fail(ErrorCode::kInvalid, fmt::format("--explain {}: name an .exr file", options.explain));
     if (output.extension() != ".exr" && output.extension() != ".png")
         return fail(ErrorCode::kInvalid, fmt::format("-o {}: name a .png or an .exr file", options.output));
     return request;
@@ -228,6 +231,11 @@ Result<RenderOutcome> renderTo(const RenderOptions& options, RenderRequest reque
     Result<RenderOutcome> outcome = makeCpuRenderer()->render(**source, request);
     line.clear();
     if (!outcome) return outcome;
+    if (request.explain)
+        if (Result<void> told = writeExplanation(outcome->picture.width, outcome->picture.height,
+                                                 outcome->why, options.explain);
+            !told)
+            return tl::unexpected(told.error());
     if (options.samples > 1) {
         const auto edge = std::uint32_t(std::lround(std::sqrt(options.samples)));
         outcome->picture = boxFiltered(outcome->picture, edge);
@@ -306,6 +314,10 @@ void addRenderCommand(CLI::App& app, int& status) {
         ->check(CLI::IsMember({"cpu", "gpu"}))
         ->capture_default_str();
     command->add_option("--threads", options->threads, "Ray threads; one per processor");
+    command->add_option(
+        "--explain", options->explain,
+        "WHY.exr: per pixel the level drawn, and how much is queued, over budget, failed, without "
+        "finer data");
     command->add_option(
         "--repeat", options->repeats,
         "Trace a final picture N times more, all pages resident; seconds_render is their median");

@@ -25,9 +25,8 @@ bool BeamTile::findInMark(std::size_t place, const Mark& mark, const PacketSpans
     const float* samples = nullptr;
     if (node.status == WalkStatus::kNode && node.record().hasBrick()) {
         if (resident_) {
-            Visit met;
-            visitResident(node, context, met);
-            samples = met.samples;
+            bool draft = false;
+            samples = residentSamples(node, context, draft);
         } else {
             samples = samplesOf(node, cut_.usesDraft(node) & maskOf(std::uint16_t(place)), 1, context);
             if (!samples) return false;

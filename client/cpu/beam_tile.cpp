@@ -33,13 +33,15 @@ bool BeamTile::canTrace(const RenderPlan& plan) {
     return !plan.emission && !plan.density->empty() && !(plan.density->background() > 0);
 }
 
-BeamTile::BeamTile(const RenderPlan& plan, LightField* light, const PixelBox& box, Cut cut)
+BeamTile::BeamTile(const RenderPlan& plan, LightField* light, const PixelBox& box,
+                   const ResidentTree* resident)
     : plan_(plan),
       channel_(*plan.density),
       light_(light),
       scale_(plan.scene.density_scale),
-      resident_(cut == Cut::kResident),
+      resident_(resident != nullptr),
       pixels_(packetsOf(*plan.camera, *plan.density, box)) {
+    if (resident) drawn_.emplace(*resident);
     order_.kind = FrontToBack::Kind::kFromPoint;
     order_.vector = channel_.transform().inversePoint(plan.camera->eye());
     if (plan.quality.reference) cut_ = TileCut::finest();
@@ -99,22 +101,10 @@ BeamTile::Progress BeamTile::advance(const RayContext& context) {
     return Progress::kDone;
 }
 
-bool BeamTile::childrenResident(const WalkedNode& node, const RayContext& context) const {
-    const ChildrenRef first = node.block->children(node.ref.node);
-    const TreeBlock* block = channel_.block(first.block);
-    if (!block) return false;
-    const std::uint32_t count = std::uint32_t(__builtin_popcount(node.block->validMask(node.ref.node)));
-    for (std::uint32_t child = first.first; child < first.first + count; ++child)
-        if (block->record(child).hasBrick() &&
-            !context.cache->contains({channel_.index(), first.block, child, false}) &&
-            !context.cache->contains({channel_.index(), first.block, child, true}))
-            return false;
-    return true;
-}
-
-PacketMask BeamTile::descends(const WalkedNode& node, const RayContext& context) const {
-    if (resident_) return childrenResident(node, context) ? kAllPackets : 0;
-    return cut_.descends(node);
+PacketMask BeamTile::descends(const WalkedNode& node) {
+    if (!resident_) return cut_.descends(node);
+    drawn_->at(node);
+    return drawn_->finerBelow(node) ? kAllPackets : 0;
 }
 
 // What was blocked in the last pass is taken up where it stopped.
@@ -157,6 +147,7 @@ void BeamTile::startCut(bool all) {
             rays.shadow_deviation[lane] = rays.shadow_variance[lane] = 0;
             rays.moment1[lane] = rays.moment2[lane] = 0;
             rays.front[lane] = 1;
+            rays.level[lane] = 0;
             rays.cut[lane] = cut_number_;
         }
     }
@@ -196,17 +187,17 @@ void BeamTile::block(std::uint16_t place, const PacketSpans& spans, double least
     }
 }
 
-void BeamTile::sumNode(const WalkedNode& node, const Visit& visit, const BrickCells& cells,
-                       const RayPacket& packet, const PacketSpans& spans, double* sums) const {
-    if (!visit.samples) {
+void BeamTile::sumNode(const Visit& met, const BrickCells& cells, const RayPacket& packet,
+                       const PacketSpans& spans, double* sums) const {
+    if (!met.samples) {
         for (int lane = 0; lane < kLanes; ++lane)
-            if (inSpan(spans, lane)) sums[lane] += visit.constant * (spans.end[lane] - spans.begin[lane]);
-    } else if (visit.in_kernel) {
+            if (inSpan(spans, lane)) sums[lane] += met.constant * (spans.end[lane] - spans.begin[lane]);
+    } else if (met.in_kernel) {
         integrateBrick(packet, cells, spans, sums);
     } else {
         for (int lane = 0; lane < kLanes; ++lane) {
             if (!inSpan(spans, lane)) continue;
-            walkCells(visit.samples, channel_.shape(), node.key, node.record(), rayOf(packet, lane),
+            walkCells(met.samples, channel_.shape(), met.field.key, met.field.record(), rayOf(packet, lane),
                       {spans.begin[lane], spans.end[lane]},
                       [&](const Cell& cell, const glm::dvec3& from, const glm::dvec3& to, double begin,
                           double end) { sums[lane] += meanPositive(cell, from, to) * (end - begin); });
@@ -214,8 +205,8 @@ void BeamTile::sumNode(const WalkedNode& node, const Visit& visit, const BrickCe
     }
 }
 
-void BeamTile::scatterNode(const WalkedNode& node, const Visit& met, const BrickCells& cells,
-                           const RayPacket& packet, const PacketSpans& spans, PacketScatter& out) const {
+void BeamTile::scatterNode(const Visit& met, const BrickCells& cells, const RayPacket& packet,
+                           const PacketSpans& spans, PacketScatter& out) const {
     if (met.in_kernel) {
         LightCells light;
         light.quads = met.light->quads.data();
@@ -224,8 +215,8 @@ void BeamTile::scatterNode(const WalkedNode& node, const Visit& met, const Brick
         return scatterInBrick(packet, cells, light, spans, scale_, out);
     }
     // One value, or a brick too dense for floats: step by step in double.
-    const glm::dvec3 low = nodeLow(node.key, channel_.shape());
-    const double cell = cellEdge(node.key.level);
+    const glm::dvec3 low = nodeLow(met.field.key, channel_.shape());
+    const double cell = cellEdge(met.field.key.level);
     for (int lane = 0; lane < kLanes; ++lane) {
         out.depth[lane] = out.weight[lane] = 0;
         out.passed[lane] = out.last[lane] = 1;
@@ -240,7 +231,7 @@ void BeamTile::scatterNode(const WalkedNode& node, const Visit& met, const Brick
             out.passed[lane] = passed;
         };
         if (met.samples) {
-            walkCells(met.samples, channel_.shape(), node.key, node.record(), ray,
+            walkCells(met.samples, channel_.shape(), met.field.key, met.field.record(), ray,
                       {spans.begin[lane], spans.end[lane]},
                       [&](const Cell& values, const glm::dvec3& from, const glm::dvec3& to, double begin,
                           double end) { step(begin, end, meanPositive(values, from, to) * (end - begin)); });
@@ -253,46 +244,62 @@ void BeamTile::scatterNode(const WalkedNode& node, const Visit& met, const Brick
     }
 }
 
-// What can be drawn of a node with the pages that are there; without any, the middle of its range.
-void BeamTile::visitResident(const WalkedNode& node, const RayContext& context, Visit& out) const {
-    const NodeRecord& record = node.record();
-    const PageAddress page{channel_.index(), node.ref.block, node.ref.node, false};
-    PageAddress draft = page;
-    draft.draft = true;
-    out.samples = context.cache->find(page);
-    if (!out.samples) out.samples = context.cache->find(draft), out.draft = out.samples != nullptr;
-    if (out.samples) return;
-    const double low = std::max(0.0, double(record.value_min));
-    const double high = std::max(low, double(record.value_max));
-    out.constant = 0.5 * (low + high);
-    out.errors.bound_scale = 0.5 * (high - low);
-    out.errors.square_scale = (high - low) * (high - low) / 12;
+const float* BeamTile::residentSamples(const WalkedNode& node, const RayContext& context, bool& draft) const {
+    PageAddress page{channel_.index(), node.ref.block, node.ref.node, false};
+    const float* samples = context.cache->find(page);
+    draft = !samples;
+    page.draft = true;
+    return samples ? samples : context.cache->find(page);
 }
 
-BeamTile::Visit BeamTile::visit(const WalkedNode& node, bool draft, PacketList list,
-                                const RayContext& context) {
-    Visit out = visitField(node, draft, list, context);
-    if (!scatters() || node.status == WalkStatus::kMissingBlock || failed_) return out;
-    const bool empty = !node.record().hasBrick() && out.constant == 0;
-    if (resident_) {
-        out.light = light_->ready(node.ref);
-        if (!out.light) out.light = &light_->unknown();
-    } else if (!empty) {
-        // Asked for even where the brick is missing: all that a ray needs is wanted at once.
-        out.light = light_->of(node, double(list.count), context);
-        out.missing |= !out.light;
+// What can be drawn of a node with the pages that are there; without any, the middle of its range.
+BeamTile::Visit BeamTile::visitResident(const WalkedNode& node, const RayContext& context) {
+    Visit out;
+    out.field = node;
+    const WalkedNode* drawn = drawn_->at(node);
+    if (!drawn && !node.block) {
+        // Not even its range is known.
+        out.errors.bound_scale = out.errors.square_scale = std::numeric_limits<float>::max();
+        return out;
     }
+    if (!drawn) {
+        const double low = std::max(0.0, double(node.record().value_min));
+        const double high = std::max(low, double(node.record().value_max));
+        out.constant = 0.5 * (low + high);
+        out.errors.bound_scale = 0.5 * (high - low);
+        out.errors.square_scale = (high - low) * (high - low) / 12;
+        return out;
+    }
+    out.field = *drawn;
+    if (drawn->record().hasBrick()) out.samples = residentSamples(*drawn, context, out.draft);
+    describeBrick(out);
     return out;
+}
+
+// Value, errors and rounding of the field that is integrated.
+void BeamTile::describeBrick(Visit& out) const {
+    const WalkedNode& field = out.field;
+    const NodeRecord& record = field.record();
+    out.errors =
+        out.draft ? errorsOfDraft(record) : errorsOfNode(record, field.block->errorGrid(field.ref.node));
+    if (!record.hasBrick())
+        out.constant =
+            std::max(0.0, double(toFloat(channel_.type(), field.block->constant(field.ref.node)[0])));
+    out.in_kernel = out.samples && fitsKernel(channel_, record, field.key.level, scale_);
+    if (!out.in_kernel) return;
+    const BrickShape shape = channel_.shape();
+    const double most = std::max(double(record.value_max), -double(record.value_min));
+    const double steepness = double(steepnessOfPage(out.samples, shape));
+    out.rounding = kPositionRounding * shape.edge_cells * steepness + kSampleRounding * most;
+    out.lost = (most + steepness) * kLostLength * cellEdge(field.key.level);
 }
 
 BeamTile::Visit BeamTile::visitField(const WalkedNode& node, bool draft, PacketList list,
                                      const RayContext& context) {
+    if (resident_) return visitResident(node, context);
     Visit out;
+    out.field = node;
     if (node.status == WalkStatus::kMissingBlock) {
-        if (resident_) {
-            out.errors.bound_scale = out.errors.square_scale = std::numeric_limits<float>::max();
-            return out;
-        }
         out.missing = true;
         const WantedPage page{true, {channel_.index(), node.missing_block, 0}};
         if (context.failed->contains(page))
@@ -302,17 +309,7 @@ BeamTile::Visit BeamTile::visitField(const WalkedNode& node, bool draft, PacketL
                                double(list.count), context.tile);
         return out;
     }
-    const NodeRecord& record = node.record();
-    if (!record.hasBrick()) {
-        out.constant =
-            std::max(0.0, double(toFloat(channel_.type(), node.block->constant(node.ref.node)[0])));
-        out.errors = errorsOfNode(record, node.block->errorGrid(node.ref.node));
-        return out;
-    }
-    if (resident_) {
-        visitResident(node, context, out);
-        if (!out.samples) return out;
-    } else {
+    if (node.record().hasBrick()) {
         out.draft = draft;
         // Worth: what the rays that meet it still let through.
         double worth = 0;
@@ -322,16 +319,18 @@ BeamTile::Visit BeamTile::visitField(const WalkedNode& node, bool draft, PacketL
         out.missing = !out.samples;
         if (out.missing) return out;
     }
-    out.errors =
-        out.draft ? errorsOfDraft(record) : errorsOfNode(record, node.block->errorGrid(node.ref.node));
-    out.in_kernel = fitsKernel(channel_, record, node.key.level, scale_);
-    if (out.in_kernel) {
-        const BrickShape shape = channel_.shape();
-        const double most = std::max(double(record.value_max), -double(record.value_min));
-        const double steepness = double(steepnessOfPage(out.samples, shape));
-        out.rounding = kPositionRounding * shape.edge_cells * steepness + kSampleRounding * most;
-        out.lost = (most + steepness) * kLostLength * cellEdge(node.key.level);
-    }
+    describeBrick(out);
+    return out;
+}
+
+BeamTile::Visit BeamTile::visit(const WalkedNode& node, bool draft, PacketList list,
+                                const RayContext& context) {
+    Visit out = visitField(node, draft, list, context);
+    if (!scatters() || failed_ || !out.field.block || out.field.status != WalkStatus::kNode) return out;
+    if (!out.field.record().hasBrick() && out.constant == 0) return out;
+    // Asked for even where the brick is missing: all that a ray needs is wanted at once.
+    out.light = light_->of(out.field, double(list.count), context);
+    out.missing |= !out.light;
     return out;
 }
 
@@ -340,10 +339,10 @@ void BeamTile::integrateNode(const WalkedNode& node, bool draft, PacketList list
     if (failed_) return;
     BrickCells cells;
     if (met.samples) {
-        cells = cellsOf(channel_, node, met.samples);
+        cells = cellsOf(channel_, met.field, met.samples);
         if (met.in_kernel && list.count * kLanes >= kRaysForQuads) cells.quads = t_quads.of(cells);
     }
-    if (!met.missing) nodes_.push_back(node);
+    if (!met.missing) nodes_.push_back(met.field);
     for (std::uint16_t place : list) integratePacket(node, met, cells, place, context);
 }
 
@@ -352,13 +351,12 @@ void BeamTile::integratePacket(const WalkedNode& node, const Visit& met, const B
     RayPacket& packet = pixels_.packets[place];
     BeamRays& rays = rays_[place];
     const glm::dvec3 low = nodeLow(node.key, channel_.shape());
-    const double edge = nodeEdge(node.key, channel_.shape());
-    const glm::dvec3 high = low + edge;
+    const glm::dvec3 high = low + nodeEdge(node.key, channel_.shape());
+    const glm::dvec3 field_low = nodeLow(met.field.key, channel_.shape());
     PacketSpans spans;
     clipPacket(packet, &low[0], &high[0], spans);
-    const double value_min = met.missing && node.status == WalkStatus::kMissingBlock ? 0.0
-                             : node.status == WalkStatus::kMissingBlock              ? 0.0
-                                                                        : double(node.record().value_min);
+    const bool known = node.block && node.status == WalkStatus::kNode;
+    const double value_min = known ? double(node.record().value_min) : 0.0;
     if (met.missing) return block(place, spans, value_min, context);
     if (rays.blocked) {
         // Scouts integrate nothing: what lies in front of them is not there yet.
@@ -371,18 +369,20 @@ void BeamTile::integratePacket(const WalkedNode& node, const Visit& met, const B
     PacketScatter scattered;
     double* sums = scattered.depth;
     if (scatters())
-        scatterNode(node, met, cells, packet, spans, scattered);
+        scatterNode(met, cells, packet, spans, scattered);
     else
-        sumNode(node, met, cells, packet, spans, sums);
+        sumNode(met, cells, packet, spans, sums);
     if (!met.errors.exact() && !met.errors.uniform)
-        integrateGrid(packet, &low[0], edge, spans, met.errors.bound, met.errors.square, half_width, square);
+        integrateGrid(packet, &field_low[0], nodeEdge(met.field.key, channel_.shape()), spans,
+                      met.errors.bound, met.errors.square, half_width, square);
 
     Mark& mark = marks_.emplace_back();
     mark.node = std::uint32_t(nodes_.size() - 1);
     mark.previous = rays.last_mark;
     mark.cut = cut_number_;
     rays.last_mark = std::int32_t(marks_.size() - 1);
-    const double cell = cellEdge(node.key.level);
+    const double cell = cellEdge(met.field.key.level);
+    const bool waits = resident_ && !met.errors.exact();
     // Floats that stand for errors were summed in float: a hair more makes up for it.
     constexpr double kErrorSlack = 1 + 1e-5;
     for (int lane = 0; lane < kLanes; ++lane) {
@@ -394,11 +394,11 @@ void BeamTile::integratePacket(const WalkedNode& node, const Visit& met, const B
         double wide = sum * kSumRounding + met.rounding * length + met.lost * unit;
         if (!met.errors.exact()) {
             wide += (met.errors.uniform ? length : half_width[lane]) * met.errors.bound_scale * kErrorSlack;
-            rays.variance[lane] +=
-                (met.errors.uniform ? length : square[lane]) * met.errors.square_scale * unit * cell;
+            variance = (met.errors.uniform ? length : square[lane]) * met.errors.square_scale * unit * cell;
+            rays.variance[lane] += variance;
         }
         double least = std::max(0.0, sum - wide), most = sum + wide;
-        if (node.status != WalkStatus::kMissingBlock) {
+        if (known) {
             // The range of the node's values bounds the integral too; outside its samples lies the
             // background.
             const NodeRecord& record = node.record();
@@ -423,6 +423,8 @@ void BeamTile::integratePacket(const WalkedNode& node, const Visit& met, const B
                 rays.moment2[lane] += moment * moment * variance;
             }
         }
+        rays.level[lane] += sum * met.field.key.level;
+        rays.waiting[lane] = std::uint16_t(rays.waiting[lane] + waits);
         rays.depth[lane] += sum;
         rays.low[lane] += std::min(least, sum);
         rays.high[lane] += std::max(most, sum);
@@ -436,7 +438,7 @@ bool BeamTile::integrate(const RayContext& context) {
     release();
     walkPackets(
         channel_, pixels_.packets, order_,
-        [&](const WalkedNode& node) { return failed_ ? 0 : descends(node, context); },
+        [&](const WalkedNode& node) { return failed_ ? 0 : descends(node); },
         [&](const WalkedNode& node, PacketList list) {
             if (failed_) return;
             const PacketMask drafts = node.status == WalkStatus::kMissingBlock ? 0 : cut_.usesDraft(node);
@@ -465,6 +467,12 @@ Pixel BeamTile::pixelOf(std::size_t place, int lane) const {
     pixel.depth = float(rays_[place].distance[lane]);
     if (light_) lightPixel(place, lane, pixel);
     return pixel;
+}
+
+BeamTile::Why BeamTile::whyOf(std::size_t place, int lane) const {
+    const BeamRays& rays = rays_[place];
+    return {rays.depth[lane] > 0 ? float(rays.level[lane] / rays.depth[lane]) : 0, float(rays.waiting[lane]),
+            hasLane(rays.stuck, lane)};
 }
 
 double BeamTile::mostScattered() const {

@@ -8,10 +8,11 @@
 // docs/design.md, section "A tile". Not thread-safe: one thread works on a tile.
 #pragma once
 
-#include <memory>
+#include <optional>
 #include <vector>
 
 #include "client/cpu/channel_ray.h"
+#include "client/cpu/drawn_nodes.h"
 #include "client/cpu/light_lattice.h"
 #include "client/cpu/node_error.h"
 #include "client/cpu/packet_kernel.h"
@@ -38,12 +39,14 @@ struct alignas(64) BeamRays {
     double front[kRays] = {};  // transmittance so far
     double weight[kRays] = {}, shadow_deviation[kRays] = {}, shadow_variance[kRays] = {}, moment1[kRays] = {},
            moment2[kRays] = {};
-    double distance[kRays] = {};   // to half the opacity
-    std::uint16_t blocked = 0;     // lanes that miss a page of this pass
-    std::uint16_t settled = 0;     // lanes that later cuts leave alone
-    std::uint16_t stuck = 0;       // settled, though not good enough: nothing finer could help
-    std::uint8_t cut[kRays] = {};  // number of the cut that a lane's marks are of
-    std::uint16_t located = 0;     // lanes whose `distance` is known
+    double distance[kRays] = {};        // to half the opacity
+    double level[kRays] = {};           // integral of level over depth
+    std::uint16_t waiting[kRays] = {};  // stretches that a finer page would change
+    std::uint16_t blocked = 0;          // lanes that miss a page of this pass
+    std::uint16_t settled = 0;          // lanes that later cuts leave alone
+    std::uint16_t stuck = 0;            // settled, though not good enough: nothing finer could help
+    std::uint8_t cut[kRays] = {};       // number of the cut that a lane's marks are of
+    std::uint16_t located = 0;          // lanes whose `distance` is known
     std::int32_t last_mark = -1;
 };
 
@@ -56,27 +59,31 @@ public:
     // absorbs nothing.
     static bool canTrace(const RenderPlan& plan);
 
-    // kAsked: what the plan's quality asks for. kResident: what can be drawn with the pages that are there.
-    enum class Cut { kAsked, kResident };
-    // REQUIRES: canTrace(plan), and the box is at most 32 x 32 pixels; `light` where the plan has a light.
-    // Both must outlive the tile.
-    BeamTile(const RenderPlan& plan, LightField* light, const PixelBox& box, Cut cut);
+    // The cut that the plan's quality asks for; or, with `resident`, what can be drawn with the pages that
+    // are there. Without `light` nothing is scattered, whatever the plan says. REQUIRES: canTrace(plan), and
+    // the box is at most 32 x 32 pixels. All three must outlive the tile.
+    BeamTile(const RenderPlan& plan, LightField* light, const PixelBox& box,
+             const ResidentTree* resident = nullptr);
 
     // kWaiting: pages are missing, and wanted. kFailed: one of them cannot be had, and the tile is of no use.
-    // A kResident tile is done at once.
+    // A tile of resident pages is done at once.
     enum class Progress { kWaiting, kDone, kFailed };
     Progress advance(const RayContext& context);
 
     // Pixels whose rays run parallel to an axis plane: no packet takes them.
     const std::vector<PixelPlace>& others() const { return pixels_.others; }
-    // Calls draw(place, pixel) for each pixel that sees the medium, but the others. REQUIRES: advance() gave
-    // kDone.
+    struct Why {
+        float level = 0, waiting = 0;  // as PixelWhy has them
+        bool stuck = false;
+    };
+    // Calls draw(place, pixel, why) for each pixel that sees the medium, but the others. REQUIRES: advance()
+    // gave kDone.
     template <class Draw>
     void forEachPixel(Draw&& draw) const {
         for (std::size_t p = 0; p < rays_.size(); ++p)
             for (int lane = 0; lane < BeamRays::kRays; ++lane)
                 if (hasLane(pixels_.lanes[p].used, lane))
-                    draw(pixels_.lanes[p].place[lane], pixelOf(p, lane));
+                    draw(pixels_.lanes[p].place[lane], pixelOf(p, lane), whyOf(p, lane));
     }
     std::size_t packets() const { return rays_.size(); }
     // Rays that are as fine as the data, and yet above the error asked for.
@@ -92,6 +99,7 @@ private:
     };
     // A node as the walk met it: what all packets need of it.
     struct Visit {
+        WalkedNode field;  // whose field is integrated: the node itself, or what stands in for it
         const float* samples = nullptr;  // nullptr: one value, or missing
         double constant = 0;
         bool missing = false, draft = false, in_kernel = false;
@@ -107,7 +115,9 @@ private:
     Phase startScatter();
     Visit visitField(const WalkedNode& node, bool draft, PacketList list, const RayContext& context);
     Visit visit(const WalkedNode& node, bool draft, PacketList list, const RayContext& context);
-    void visitResident(const WalkedNode& node, const RayContext& context, Visit& out) const;
+    Visit visitResident(const WalkedNode& node, const RayContext& context);
+    const float* residentSamples(const WalkedNode& node, const RayContext& context, bool& draft) const;
+    void describeBrick(Visit& visit) const;
     void integratePacket(const WalkedNode& node, const Visit& visit, const BrickCells& cells,
                          std::uint16_t place, const RayContext& context);
     void block(std::uint16_t place, const PacketSpans& spans, double least, const RayContext& context);
@@ -124,17 +134,17 @@ private:
                     double* before, const RayContext& context);
 
     const float* samplesOf(const WalkedNode& node, bool draft, double worth, const RayContext& context);
-    PacketMask descends(const WalkedNode& node, const RayContext& context) const;
-    bool childrenResident(const WalkedNode& node, const RayContext& context) const;
+    PacketMask descends(const WalkedNode& node);
     AlphaComposite alphaOf(std::size_t place, int lane) const;
     Pixel pixelOf(std::size_t place, int lane) const;
+    Why whyOf(std::size_t place, int lane) const;
     void lightPixel(std::size_t place, int lane, Pixel& pixel) const;
     // Adds a node's integral to sums.
-    void sumNode(const WalkedNode& node, const Visit& visit, const BrickCells& cells, const RayPacket& packet,
+    void sumNode(const Visit& visit, const BrickCells& cells, const RayPacket& packet,
                  const PacketSpans& spans, double* sums) const;
     // The same, and what it scatters with a transmittance of 1 in front.
-    void scatterNode(const WalkedNode& node, const Visit& visit, const BrickCells& cells,
-                     const RayPacket& packet, const PacketSpans& spans, PacketScatter& out) const;
+    void scatterNode(const Visit& visit, const BrickCells& cells, const RayPacket& packet,
+                     const PacketSpans& spans, PacketScatter& out) const;
     bool scatters() const { return phase_ == Phase::kScatter; }
     // Largest radiance of a unit of scattered weight.
     double mostScattered() const;
@@ -145,6 +155,7 @@ private:
     LightField* light_;
     double scale_;
     bool resident_;
+    std::optional<DrawnNodes> drawn_;  // where resident_
     FrontToBack order_;
     PixelPackets pixels_;
     std::vector<BeamRays> rays_;

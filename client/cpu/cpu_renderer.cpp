@@ -10,6 +10,7 @@
 
 #include "client/brick_page.h"
 #include "client/cpu/beam_tile.h"
+#include "client/cpu/page_order.h"
 #include "client/cpu/ray_tracer.h"
 #include "client/renderer.h"
 #include "core/brick_codec.h"
@@ -24,6 +25,9 @@ using Clock = std::chrono::steady_clock;
 constexpr std::uint32_t kTileEdge = 32;
 // A wish is answered in pieces; what arrives is drawn with after each wish, not after each piece.
 constexpr std::size_t kMaxWishPages = 16384;
+// With limits: a batch is a share of what came before, so that the order stays current and round trips stay
+// few.
+constexpr std::uint64_t kLeastBatchBytes = 16u << 10, kBatchShare = 6;
 // The first wish of a cold client: an overview, chosen by the source.
 constexpr std::uint64_t kOverviewBytes = 256u << 10;
 constexpr float kOverviewPixelsPerVoxel = 16;
@@ -60,8 +64,15 @@ private:
     }
     bool repeat();
     void traceTile(std::uint32_t index, WantList& wants);
-    void drawProvisional();
-    void drawResident(const Tile& tile, const RayContext& context);
+    void drawResident(const Tile& tile, const ResidentTree& tree, LightField* light,
+                      const RayContext& context);
+    void drawProvisional(bool everything);
+    void takePixels(const BeamTile& beam);
+    void explain(std::uint32_t at, float level, float waiting, float failed, bool stuck);
+    void explainRay(const PixelRay& ray, std::uint32_t at);
+    ResidentTree residentTree() const;
+    Result<void> refineWithinLimits();
+    double lightDeviation() const;
     // Sends the wants of the last pass and takes in what comes. False when nothing more may come.
     Result<bool> stream();
     Result<void> take(const PageWish& wish);
@@ -91,6 +102,7 @@ private:
     std::unordered_set<WantedPage, WantedPageHash> failed_;
     std::unordered_set<WantedPage, WantedPageHash> retried_;
     unsigned threads_ = 1;
+    std::atomic<std::uint64_t> stuck_{0};
     bool over_budget_ = false;
 };
 
@@ -148,21 +160,25 @@ Result<void> CpuPicture::open() {
     tracer_.emplace(plan_);
     makeLight();
     outcome_.picture = Picture(request_.width, request_.height);
+    if (request_.explain) outcome_.why.resize(outcome_.picture.pixels.size());
     outcome_.background = scene->background;
     makeTiles();
     return {};
 }
 
-// Of a pixel's standard deviation, what its shadows may make; levels of the view use the rest.
-void CpuPicture::makeLight() {
-    light_.reset();
-    if (!plan_.scene.light) return;
+// Of a pixel's standard deviation, what its shadows may make; levels of the view use the rest. 0: exact.
+double CpuPicture::lightDeviation() const {
+    if (plan_.quality.reference) return 0;
     constexpr double kShadowShare = 0.4;
     const glm::dvec3 scattered = plan_.scattered();
     const double most = std::max({scattered.x, scattered.y, scattered.z}) *
                         henyeyGreenstein(std::abs(plan_.scene.anisotropy), 1);
-    const double deviation = kShadowShare * plan_.quality.max_error / 3 / std::max(most, 1e-30);
-    light_.emplace(plan_, plan_.quality.reference ? 0 : std::min(deviation, 0.3));
+    return std::min(kShadowShare * plan_.quality.max_error / 3 / std::max(most, 1e-30), 0.3);
+}
+
+void CpuPicture::makeLight() {
+    light_.reset();
+    if (plan_.scene.light) light_.emplace(plan_, lightDeviation());
 }
 
 void CpuPicture::makeTiles() {
@@ -259,6 +275,7 @@ void CpuPicture::traceTile(std::uint32_t index, WantList& wants) {
             tracer_->advance(at % picture.width, at / picture.width, ray, ray_context, composite);
         if (progress != RayTracer::Progress::kMissing) {
             picture.pixels[at] = composite.pixel();
+            explainRay(ray, at);
         } else if (outcome_.passes == 0) {
             // The first picture shows something everywhere: what is resident stands in for what is not.
             picture.pixels[at] = tracer_->provisional(ray, ray_context).pixel();
@@ -279,7 +296,7 @@ void CpuPicture::traceTile(std::uint32_t index, WantList& wants) {
     if (!tile.begun) {
         tile.begun = true;
         if (!BeamTile::canTrace(plan_)) return takeAll();
-        tile.beam.emplace(plan_, light_ ? &*light_ : nullptr, tile.box, BeamTile::Cut::kAsked);
+        tile.beam.emplace(plan_, light_ ? &*light_ : nullptr, tile.box);
     }
     if (tile.beam) {
         const BeamTile::Progress progress = tile.beam->advance(ray_context);
@@ -288,9 +305,8 @@ void CpuPicture::traceTile(std::uint32_t index, WantList& wants) {
             tile.beam.reset();
             return takeAll();
         }
-        tile.beam->forEachPixel([&](PixelPlace place, const Pixel& pixel) {
-            picture.pixels[place.y * picture.width + place.x] = pixel;
-        });
+        takePixels(*tile.beam);
+        stuck_.fetch_add(tile.beam->stuckRays(), std::memory_order_relaxed);
         const std::vector<PixelPlace> others = tile.beam->others();
         tile.beam.reset();
         for (const PixelPlace& place : others) take(place.x, place.y);
@@ -385,36 +401,119 @@ Result<bool> CpuPicture::stream() {
     return true;
 }
 
-// A tile that waits, from the pages that are there.
-void CpuPicture::drawResident(const Tile& tile, const RayContext& ray_context) {
-    Picture& picture = outcome_.picture;
-    BeamTile beam(plan_, light_ ? &*light_ : nullptr, tile.box, BeamTile::Cut::kResident);
+// A tile from the pages that are there.
+void CpuPicture::drawResident(const Tile& tile, const ResidentTree& tree, LightField* light,
+                              const RayContext& ray_context) {
+    BeamTile beam(plan_, light, tile.box, &tree);
     beam.advance(ray_context);
-    beam.forEachPixel([&](PixelPlace place, const Pixel& pixel) {
-        picture.pixels[place.y * picture.width + place.x] = pixel;
-    });
+    takePixels(beam);
     for (const PixelPlace& place : beam.others()) {
         PixelRay ray;
         tracer_->begin(place.x, place.y, ray);
-        picture.pixels[place.y * picture.width + place.x] = tracer_->provisional(ray, ray_context).pixel();
+        const std::uint32_t at = place.y * outcome_.picture.width + place.x;
+        outcome_.picture.pixels[at] = tracer_->provisional(ray, ray_context).pixel();
+        explainRay(ray, at);
     }
 }
 
-void CpuPicture::drawProvisional() {
+void CpuPicture::takePixels(const BeamTile& beam) {
+    beam.forEachPixel([&](PixelPlace place, const Pixel& pixel, const BeamTile::Why& why) {
+        const std::uint32_t at = place.y * outcome_.picture.width + place.x;
+        outcome_.picture.pixels[at] = pixel;
+        if (request_.explain) explain(at, why.level, why.waiting, 0, why.stuck);
+    });
+}
+
+// What a pixel waits for is queued or over budget; which of them is known when the picture ends.
+void CpuPicture::explain(std::uint32_t at, float level, float waiting, float failed, bool stuck) {
+    outcome_.why[at] = {level, waiting, 0, failed, stuck ? 1.0f : 0.0f};
+}
+
+void CpuPicture::explainRay(const PixelRay& ray, std::uint32_t at) {
+    if (!request_.explain) return;
+    double level = 0, depth = 0;
+    float waiting = 0, failed = 0;
+    for (const RaySegment& segment : ray.density.segments()) {
+        waiting += segment.state != SegmentState::kDone;
+        failed += segment.failed;
+        level += segment.integral * segment.node.key.level;
+        depth += segment.integral;
+    }
+    explain(at, depth > 0 ? float(level / depth) : 0, waiting, failed, false);
+}
+
+ResidentTree CpuPicture::residentTree() const {
+    return ResidentTree(*density_, [&](const PageAddress& page) { return cache_->contains(page); });
+}
+
+// All that waits, from what is there: tiles of rays, or with `everything` the whole picture, which nothing is
+// lit in.
+void CpuPicture::drawProvisional(bool everything) {
+    const ResidentTree tree = residentTree();
+    std::optional<LightField> light;
+    if (plan_.scene.light && !everything) light.emplace(plan_, lightDeviation(), &tree);
+    const bool in_beams = BeamTile::canTrace(plan_);
     std::atomic<std::size_t> next{0};
     std::vector<WantList> ignored(threads_);
     forEachThread([&](unsigned thread) {
         for (std::size_t i = next.fetch_add(1); i < tiles_.size(); i = next.fetch_add(1)) {
             Tile& tile = tiles_[i];
             const RayContext ray_context = context(ignored[thread], std::uint32_t(i));
+            if (in_beams && (everything || tile.beam || !tile.begun)) {
+                drawResident(tile, tree, light ? &*light : nullptr, ray_context);
+                continue;
+            }
             if (!tile.begun) traceTile(std::uint32_t(i), ignored[thread]);
-            for (std::size_t r = 0; r < tile.rays.size(); ++r)
+            for (std::size_t r = 0; r < tile.rays.size(); ++r) {
                 outcome_.picture.pixels[tile.where[r]] =
                     tracer_->provisional(tile.rays[r], ray_context).pixel();
-            if (!tile.beam) continue;
-            drawResident(tile, ray_context);
+                explainRay(tile.rays[r], tile.where[r]);
+            }
         }
     });
+}
+
+// With a limit of bytes or time: coarse first, and then always what takes off most expected error per byte, a
+// batch at a time, until the limit, the quality or the data end it.
+Result<void> CpuPicture::refineWithinLimits() {
+    const double target = plan_.quality.max_error / 3;
+    while (!late()) {
+        const Clock::time_point begin = Clock::now();
+        drawProvisional(/*everything=*/true);
+        outcome_.seconds_render += secondsSince(begin);
+        ++outcome_.passes;
+        if (outcome_.passes == 1) outcome_.seconds_first_image = secondsSince(begin_);
+        const std::vector<Pixel>& pixels = outcome_.picture.pixels;
+        const bool content = !plan_.quality.reference && !plan_.quality.strict &&
+                             std::all_of(pixels.begin(), pixels.end(), [&](const Pixel& pixel) {
+                                 return double(pixel.estimate_alpha) <= target;
+                             });
+        const std::size_t room = cache_->capacity() - std::min(cache_->capacity(), cache_->size());
+        if (content || room == 0) return {};
+
+        std::vector<float> transmittance;
+        transmittance.reserve(pixels.size());
+        for (const Pixel& pixel : pixels) transmittance.push_back(1 - pixel.alpha);
+        const std::uint64_t streamed = source_.counters().bytes_streamed;
+        PlanRequest asked;
+        asked.scale = plan_.scene.density_scale;
+        asked.transmittance = transmittance;
+        asked.failed = [&](const WantedPage& page) { return failed_.contains(page); };
+        asked.batch_bytes = std::max<std::uint64_t>(kLeastBatchBytes, streamed / kBatchShare);
+        asked.max_bytes = request_.max_stream_bytes - std::min(streamed, request_.max_stream_bytes);
+        const PagePlan plan = planPages(*density_, *plan_.camera, residentTree(), asked);
+        over_budget_ |= plan.over_budget;
+        PageWish wish;
+        for (const PlannedPage& page : plan.pages) {
+            if (wish.pages.size() >= room) break;
+            wish.pages.push_back({page.page.is_block, page.page.address});
+            wish.credit_bytes += page.bytes;
+        }
+        if (wish.pages.empty()) return {};
+        if (Result<void> taken = take(wish); !taken) return taken;
+        if (request_.progress) request_.progress(0, pixels.size(), source_.counters().bytes_streamed);
+    }
+    return {};
 }
 
 Result<RenderOutcome> CpuPicture::run() {
@@ -432,14 +531,17 @@ Result<RenderOutcome> CpuPicture::run() {
         if (Result<void> taken = take(overview); !taken) return tl::unexpected(taken.error());
     }
 
+    const bool limited = request_.deadline || request_.max_stream_bytes != UINT64_MAX;
+    if (limited && BeamTile::canTrace(plan_))
+        if (Result<void> refined = refineWithinLimits(); !refined) return tl::unexpected(refined.error());
+
     bool more = true;
     std::uint64_t done = 0;
     while (more && !late()) {
         if (Result<void> drawn = pass(); !drawn) return tl::unexpected(drawn.error());
         if (outcome_.passes == 1) {
-            // Tiles that the cache had no room for get their first look too.
-            if (std::any_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return !tile.begun; }))
-                drawProvisional();
+            // What waits gets its first look too.
+            if (!allDone()) drawProvisional(/*everything=*/false);
             outcome_.seconds_first_image = secondsSince(begin_);
         }
         done = 0;
@@ -455,13 +557,16 @@ Result<RenderOutcome> CpuPicture::run() {
     }
 
     const bool all_done = allDone();
-    if (!all_done) drawProvisional();
+    if (!all_done) drawProvisional(/*everything=*/false);
     if (outcome_.passes == 0) outcome_.seconds_first_image = secondsSince(begin_);
     outcome_.final = all_done && failed_.empty();
     outcome_.not_final.failed = failed_.size();
     if (!all_done)
         (over_budget_ ? outcome_.not_final.over_budget : outcome_.not_final.queued) =
             std::max<std::size_t>(1, wants_.size());
+    if (over_budget_)
+        for (PixelWhy& why : outcome_.why) std::swap(why.queued, why.over_budget);
+    outcome_.not_final.no_finer_data = stuck_.load();
     outcome_.streamed = source_.counters();
     outcome_.cache_bytes = cache_->peakBytes();
     outcome_.cache_reloads = cache_->reloads();

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <deque>
-#include <numbers>
 
 #include "client/cpu/shadow_beam.h"
 
@@ -51,11 +50,13 @@ struct LightField::Entry {
     std::deque<ShadowBeam> beams;
     std::size_t beams_done = 0;
 
-    void start(const RenderPlan& plan, double deviation, const WalkedNode& node);
+    void start(const RenderPlan& plan, double deviation, const ResidentTree* resident,
+               const WalkedNode& node);
     void gather(double& difference, double& variance);
 };
 
-void LightField::Entry::start(const RenderPlan& plan, double deviation, const WalkedNode& node) {
+void LightField::Entry::start(const RenderPlan& plan, double deviation, const ResidentTree* resident,
+                              const WalkedNode& node) {
     const NodeRecord& record = node.record();
     const int edge = plan.density->shape().edge_cells;
     const glm::dvec3 low = nodeLow(node.key, plan.density->shape());
@@ -77,7 +78,7 @@ void LightField::Entry::start(const RenderPlan& plan, double deviation, const Wa
     beams.clear();
     beams_done = 0;
     auto flush = [&] {
-        if (!points.empty()) beams.emplace_back(plan, deviation, points);
+        if (!points.empty()) beams.emplace_back(plan, deviation, points, resident);
         points.clear();
     };
     for (int z = 0; z < lattice.points[2]; ++z)
@@ -124,14 +125,8 @@ void LightField::Entry::gather(double& difference, double& variance) {
     difference = squares / std::max(1, nx * ny * nz - half);
 }
 
-LightField::LightField(const RenderPlan& plan, double deviation) : plan_(plan), deviation_(deviation) {
-    for (int a = 0; a < 3; ++a) {
-        unknown_.points[a] = 2;
-        unknown_.per_cell[a] = 1.0f / float(plan.density->shape().edge_cells);
-    }
-    unknown_.quads.assign(4 * 8, float(std::numbers::ln2));
-    unknown_.deviation = 0.5f;
-}
+LightField::LightField(const RenderPlan& plan, double deviation, const ResidentTree* resident)
+    : plan_(plan), deviation_(deviation), resident_(resident) {}
 LightField::~LightField() = default;
 
 LightField::Entry& LightField::entryOf(const NodeRef& node) {
@@ -148,7 +143,7 @@ const LightLattice* LightField::of(const WalkedNode& node, double worth, const R
     const double levels = deviation_ * std::sqrt(kLevelShare);
     const double spacing = deviation_ > 0 ? kSpacingAllowance * deviation_ : kReferenceDeviation;
     const int most = std::min(kMostCells, plan_.density->shape().edge_cells);
-    if (entry.beams.empty()) entry.start(plan_, levels, node);
+    if (entry.beams.empty()) entry.start(plan_, levels, resident_, node);
     for (;;) {
         while (entry.beams_done < entry.beams.size()) {
             if (!entry.beams[entry.beams_done].advance(worth, context)) return nullptr;
@@ -161,20 +156,12 @@ const LightLattice* LightField::of(const WalkedNode& node, double worth, const R
         entry.lattice.spacing_deviation = float(std::min(1.0, interpolated));
         if (interpolated <= spacing || entry.cells >= most) break;
         entry.cells *= 2;
-        entry.start(plan_, levels, node);
+        entry.start(plan_, levels, resident_, node);
     }
     entry.beams.clear();
     entry.beams.shrink_to_fit();
     entry.done = true;
     return &entry.lattice;
-}
-
-const LightLattice* LightField::ready(const NodeRef& node) const {
-    const std::lock_guard lock(mutex_);
-    const auto found = entries_.find(std::uint64_t(node.block) << 32 | node.node);
-    if (found == entries_.end()) return nullptr;
-    const std::lock_guard entry_lock(found->second->mutex);
-    return found->second->done ? &found->second->lattice : nullptr;
 }
 
 std::uint64_t LightField::bytes() const {

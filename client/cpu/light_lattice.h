@@ -12,6 +12,7 @@
 
 #include "client/cpu/channel_ray.h"
 #include "client/cpu/render_plan.h"
+#include "client/cpu/resident_tree.h"
 
 namespace brickyard {
 
@@ -33,16 +34,13 @@ public:
     // `deviation` of a shadow that is allowed (of its interpolation: twice that); 0: exact levels, and
     // kReferenceDeviation of interpolation.
     // REQUIRES: plan.scene.light. `plan` must outlive the field.
-    LightField(const RenderPlan& plan, double deviation);
+    // With `resident`: what can be told from the pages that are there; no lattice waits.
+    LightField(const RenderPlan& plan, double deviation, const ResidentTree* resident = nullptr);
     ~LightField();
     static constexpr double kReferenceDeviation = 1e-4;
 
     // The node's lattice, or nullptr while pages are missing; those are wanted. Valid as long as the field.
     const LightLattice* of(const WalkedNode& node, double worth, const RayContext& context);
-    // The same without making it.
-    const LightLattice* ready(const NodeRef& node) const;
-    // What stands for a lattice that is not ready: half-lit, give or take all of it.
-    const LightLattice& unknown() const { return unknown_; }
     std::uint64_t bytes() const;
 
 private:
@@ -50,7 +48,7 @@ private:
     Entry& entryOf(const NodeRef& node);
     const RenderPlan& plan_;
     double deviation_;
-    LightLattice unknown_;
+    const ResidentTree* resident_;
     mutable std::mutex mutex_;
     std::unordered_map<std::uint64_t, std::unique_ptr<Entry>> entries_;
 };

@@ -24,8 +24,10 @@ bool inSpan(const PacketSpans& spans, int lane) { return spans.begin[lane] < spa
 
 }  // namespace
 
-ShadowBeam::ShadowBeam(const RenderPlan& plan, double deviation, const std::vector<glm::dvec3>& points)
+ShadowBeam::ShadowBeam(const RenderPlan& plan, double deviation, const std::vector<glm::dvec3>& points,
+                       const ResidentTree* resident)
     : channel_(*plan.density), scale_(plan.scene.density_scale) {
+    if (resident) drawn_.emplace(*resident);
     glm::dvec3 direction = channel_.transform().inverseVector(plan.scene.light->to_light);
     const double longest = std::max({std::abs(direction.x), std::abs(direction.y), std::abs(direction.z)});
     for (int a = 0; a < 3; ++a)
@@ -57,7 +59,11 @@ void ShadowBeam::fill(const std::vector<glm::dvec3>& points) {
 }
 
 // By the node alone, not by the ray: what all of a crossing may add to the variance, against its share.
-bool ShadowBeam::descends(const WalkedNode& node, const RayContext& context) const {
+bool ShadowBeam::descends(const WalkedNode& node, const RayContext& context) {
+    if (drawn_) {
+        drawn_->at(node);
+        return drawn_->finerBelow(node);
+    }
     const WantedPage below{true, {channel_.index(), node.block->children(node.ref.node).block, 0}};
     if (context.failed->contains(below)) return false;
     const double rms = double(node.record().rms);
@@ -83,35 +89,70 @@ void ShadowBeam::block(std::uint16_t place, const PacketSpans& spans, bool scout
     }
 }
 
-void ShadowBeam::meet(const WalkedNode& node, PacketList list, double worth, const RayContext& context) {
-    const float* samples = nullptr;
-    double constant = 0, per_length = 0;
-    bool missing = false;
+ShadowBeam::Field ShadowBeam::residentField(const WalkedNode& node, const RayContext& context) {
+    Field out;
+    out.node = node;
+    const WalkedNode* drawn = drawn_->at(node);
+    if (!drawn && !node.block) return out;
+    const NodeRecord& record = drawn ? drawn->record() : node.record();
+    if (drawn) out.node = *drawn;
+    double rms = double(record.rms);
+    if (drawn && record.hasBrick()) {
+        PageAddress page{channel_.index(), drawn->ref.block, drawn->ref.node, false};
+        out.samples = context.cache->find(page);
+        page.draft = true;
+        if (!out.samples) out.samples = context.cache->find(page), rms = double(record.draft_rms);
+    } else if (drawn) {
+        out.constant =
+            std::max(0.0, double(toFloat(channel_.type(), drawn->block->constant(drawn->ref.node)[0])));
+    } else {
+        out.constant =
+            0.5 * (std::max(0.0, double(record.value_min)) + std::max(0.0, double(record.value_max)));
+        rms = out.constant;
+    }
+    out.variance_per_length = rms * rms * unit_length_ * cellEdge(out.node.key.level);
+    return out;
+}
+
+ShadowBeam::Field ShadowBeam::fieldOf(const WalkedNode& node, double worth, const RayContext& context) {
+    if (drawn_) return residentField(node, context);
+    Field out;
+    out.node = node;
     auto want = [&](const WantedPage& page, std::uint64_t bytes) {
-        missing = !context.failed->contains(page);
-        if (missing && !context.full()) context.wants->add(page, std::uint32_t(bytes), worth, context.tile);
+        out.missing = !context.failed->contains(page);
+        if (out.missing && !context.full())
+            context.wants->add(page, std::uint32_t(bytes), worth, context.tile);
     };
     if (node.status == WalkStatus::kMissingBlock) {
         want({true, {channel_.index(), node.missing_block, 0}}, channel_.blockBytes(node.missing_block));
-    } else if (!node.record().hasBrick()) {
-        constant = std::max(0.0, double(toFloat(channel_.type(), node.block->constant(node.ref.node)[0])));
-    } else {
-        const NodeRecord& record = node.record();
-        const bool draft = usesDraft(node);
-        const PageAddress page{channel_.index(), node.ref.block, node.ref.node, draft};
-        samples = context.cache->find(page);
-        if (!samples) {
-            want({false, page}, draft ? record.draft_bytes : record.payload_bytes);
-            // A page that cannot be had: the middle of its range.
-            constant =
-                0.5 * (std::max(0.0, double(record.value_min)) + std::max(0.0, double(record.value_max)));
-        }
-        const double rms = double(draft ? record.draft_rms : record.rms);
-        per_length = rms * rms * unit_length_ * cellEdge(node.key.level);
+        return out;
     }
-    const bool in_kernel = samples && fitsKernel(channel_, node.record(), node.key.level, scale_);
+    const NodeRecord& record = node.record();
+    if (!record.hasBrick()) {
+        out.constant =
+            std::max(0.0, double(toFloat(channel_.type(), node.block->constant(node.ref.node)[0])));
+        return out;
+    }
+    const bool draft = usesDraft(node);
+    const PageAddress page{channel_.index(), node.ref.block, node.ref.node, draft};
+    out.samples = context.cache->find(page);
+    if (!out.samples) {
+        want({false, page}, draft ? record.draft_bytes : record.payload_bytes);
+        // A page that cannot be had: the middle of its range.
+        out.constant =
+            0.5 * (std::max(0.0, double(record.value_min)) + std::max(0.0, double(record.value_max)));
+    }
+    const double rms = double(draft ? record.draft_rms : record.rms);
+    out.variance_per_length = rms * rms * unit_length_ * cellEdge(node.key.level);
+    return out;
+}
+
+void ShadowBeam::meet(const WalkedNode& node, PacketList list, double worth, const RayContext& context) {
+    const Field field = fieldOf(node, worth, context);
+    const bool in_kernel =
+        field.samples && fitsKernel(channel_, field.node.record(), field.node.key.level, scale_);
     BrickCells cells;
-    if (samples) cells = cellsOf(channel_, node, samples);
+    if (field.samples) cells = cellsOf(channel_, field.node, field.samples);
     if (in_kernel && list.count * kLanes >= kRaysForQuads) cells.quads = t_quads.of(cells);
     const glm::dvec3 low = nodeLow(node.key, channel_.shape());
     const glm::dvec3 high = low + nodeEdge(node.key, channel_.shape());
@@ -120,7 +161,7 @@ void ShadowBeam::meet(const WalkedNode& node, PacketList list, double worth, con
         Rays& rays = rays_[place];
         PacketSpans spans;
         clipPacket(packet, &low[0], &high[0], spans);
-        if (missing) {
+        if (field.missing) {
             block(place, spans, !context.full());
             continue;
         }
@@ -135,13 +176,13 @@ void ShadowBeam::meet(const WalkedNode& node, PacketList list, double worth, con
         for (int lane = 0; lane < kLanes; ++lane) {
             if (!inSpan(spans, lane)) continue;
             const double length = spans.end[lane] - spans.begin[lane];
-            if (!samples) rays.depth[lane] += constant * length;
-            if (samples && !in_kernel)
-                walkCells(samples, channel_.shape(), node.key, node.record(), rayOf(packet, lane),
-                          {spans.begin[lane], spans.end[lane]},
+            if (!field.samples) rays.depth[lane] += field.constant * length;
+            if (field.samples && !in_kernel)
+                walkCells(field.samples, channel_.shape(), field.node.key, field.node.record(),
+                          rayOf(packet, lane), {spans.begin[lane], spans.end[lane]},
                           [&](const Cell& cell, const glm::dvec3& a, const glm::dvec3& b, double begin,
                               double end) { rays.depth[lane] += meanPositive(cell, a, b) * (end - begin); });
-            rays.variance[lane] += per_length * length;
+            rays.variance[lane] += field.variance_per_length * length;
             packet.begin[lane] = rays.depth[lane] * scale_ > kDark ? kNever : spans.end[lane];
         }
     }
