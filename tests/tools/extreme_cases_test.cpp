@@ -151,6 +151,15 @@ TEST_F(ExtremeCases, CamerasFarAway) {
     }
 }
 
+// Along an axis all positions are whole numbers of the eye's last bit, so distance costs nothing; off it, the
+// renderer's distances from an eye 1e11 away have a last bit of 1e-5.
+TEST_F(ExtremeCases, CamerasFarAwayAlongAnAxis) {
+    expectView("eye 1e+15 away, along an axis", "one pixel",
+               cameraAt({0.25, 0.5, 1e15}, {0.25, 0.5, 0}, 1e-9), 1, 1);
+    expectView("eye 1e+15 away, looks aside", "all pixels empty",
+               cameraAt({0.25, 0.5, 1e15}, {1e15, 0.5, 1e15}));
+}
+
 TEST_F(ExtremeCases, FieldsOfView) {
     expectView("field of view 0.001", "from inside", cameraAt({0.3, 0.4, -30}, {0.2, 0.5, 0}, 0.001));
     expectView("field of view 179", "from near", cameraAt({0, 0, 14}, {0.1, 0.2, 0}, 179));
