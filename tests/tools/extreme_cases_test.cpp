@@ -78,7 +78,7 @@ protected:
 };
 
 TEST_F(ExtremeCases, DensitiesOfAnyMagnitude) {
-    for (const double magnitude : {1e-38, 1e-20, 1e10, 1e30, 1e37}) {
+    for (const double magnitude : {1e-44, 1e-38, 1e-20, 1e10, 1e30, 1e37, 3e38}) {
         const auto outcome = expectCase(fmt::format("density {:.0e}", magnitude), "noise of that magnitude",
                                         noiseField(magnitude));
         // Alphas of 1e-20 must not drown in an absolute tolerance. (Those of 1e-38 are denormal floats.)
@@ -91,10 +91,25 @@ TEST_F(ExtremeCases, DensitiesOfAllMagnitudesAndBothSignsSideBySide) {
                FormulaField("density", kBox, [](std::int64_t x, std::int64_t y, std::int64_t z, int) {
                    return std::pow(10.0, 74 * noise(x, y, z) - 37);
                }));
-    expectCase("density of both signs", "negative densities count as 0",
-               FormulaField("density", kBox, [](std::int64_t x, std::int64_t y, std::int64_t z, int) {
-                   return noise(x, y, z) - 0.5;
-               }));
+    for (const double magnitude : {1.0, 1e30})
+        expectCase(fmt::format("density of both signs, {:.0e}", magnitude), "negative densities count as 0",
+                   FormulaField("density", kBox, [=](std::int64_t x, std::int64_t y, std::int64_t z, int) {
+                       return magnitude * (noise(x, y, z) - 0.5);
+                   }));
+}
+
+TEST_F(ExtremeCases, EmissionBeyondTheFloatRangeIsFinite) {
+    const FormulaField field = noiseField(1e30);
+    ASSERT_TRUE(storeFields(folder_ / "bright.bricks", {&field}));
+    RenderRequest request;
+    request.width = request.height = 8;
+    request.density_scale = 1e-31;
+    request.quality.reference = true;
+    request.scene.mutable_medium()->mutable_emission()->set_channel("density");
+    request.scene.mutable_medium()->mutable_emission()->set_scale(1e10);
+    const auto outcome = drawStored(folder_ / "bright.bricks", request);
+    ASSERT_TRUE(outcome);
+    for (const Pixel& pixel : outcome->picture.pixels) ASSERT_TRUE(std::isfinite(pixel.radiance[0]));
 }
 
 TEST_F(ExtremeCases, VoxelSizes) {
@@ -143,7 +158,7 @@ TEST_F(ExtremeCases, CamerasInsideTheMedium) {
 }
 
 TEST_F(ExtremeCases, CamerasFarAway) {
-    for (const double distance : {1e6, 1e9}) {
+    for (const double distance : {1e6, 1e9, 1e11, 1e12, 1e15}) {
         const double fov = 2 * std::atan(14 / distance) * 180 / 3.14159265358979323846;
         const glm::dvec3 way = glm::normalize(glm::dvec3(0.3, 0.5, 0.8));
         expectView(fmt::format("eye {:.0e} away", distance), "the medium fills the picture",

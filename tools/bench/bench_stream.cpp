@@ -86,19 +86,18 @@ Result<double> scaleFor(const BrickStore& store, std::uint32_t channel, const Pi
 // Far and framing as the other benchmarks have them. Inside: near the middle of the box, along its diagonal,
 // because the middle itself may be empty (jets) or opaque (a cloud).
 std::vector<BenchView> streamViews(const ChannelFooter& density) {
-    std::vector<BenchView> views = benchViews(density);
+    std::vector<BenchView> views = outsideViews(density);
     const std::vector<double> columns(density.index_to_world().begin(), density.index_to_world().end());
     const Affine transform = *Affine::fromColumns(columns);  // the dataset was opened with it
     glm::dvec3 low, high;
     for (int a = 0; a < 3; ++a) low[a] = density.active_min(a), high[a] = density.active_max(a);
     const glm::dvec3 middle = transform.point(0.5 * (low + high)), extent = transform.vector(high - low);
     const double size = std::max({std::abs(extent.x), std::abs(extent.y), std::abs(extent.z)});
-    for (BenchView& view : views) {
-        if (view.name != "inside") continue;
-        const glm::dvec3 eye = middle + size * glm::dvec3(0.05, -0.15, 0);
-        const glm::dvec3 target = middle + size * glm::dvec3(0.3, 0.2, 0.1);
-        for (int a = 0; a < 3; ++a) view.camera.set_eye(a, eye[a]), view.camera.set_target(a, target[a]);
-    }
+    const glm::dvec3 eye = middle + size * glm::dvec3(0.05, -0.15, 0);
+    const glm::dvec3 target = middle + size * glm::dvec3(0.3, 0.2, 0.1);
+    BenchView inside{"inside", views.back().camera};
+    for (int a = 0; a < 3; ++a) inside.camera.set_eye(a, eye[a]), inside.camera.set_target(a, target[a]);
+    views.push_back(inside);
     return views;
 }
 
