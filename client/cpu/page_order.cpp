@@ -15,6 +15,9 @@ namespace {
 // to; and the bytes of bricks that this takes beside the block, in bricks like the node's own.
 constexpr double kBlockShare = 0.75;
 constexpr double kBricksBehindBlock = 8;
+// Levels that a page may be below what is drawn. With 1 no level is jumped over; what sub-boxes tell reaches
+// two levels down, and guesses about those below do harm (docs/decisions/0004-page-order.md).
+constexpr int kFarthestJump = 2;
 // Pages that do not fit are passed over for smaller ones this many times.
 constexpr int kMostPassedOver = 64;
 
@@ -98,16 +101,18 @@ private:
 
     template <class Add>
     void forEachCandidate(Add add) const {
-        for (std::uint32_t i = 0; i < scope_.nodes.size(); ++i) {
-            const PlanNode& node = scope_.nodes[i];
-            if (node.missing_block != PlanNode::kNone) add(Candidate{0, 0, i, false, true});
-            // A root that was missing has been planned.
-            const bool planned_root = node.parent == PlanNode::kNone && node.residency == Residency::kNone;
-            if (node.residency == Residency::kNone && node.record().hasDraft() && !planned_root)
-                add(Candidate{0, 0, i, true, false});
-            if (node.residency != Residency::kWhole && !(planned_root && !node.record().hasDraft()))
-                add(Candidate{0, 0, i, false, false});
-        }
+        for (std::uint32_t i = 0; i < scope_.nodes.size(); ++i) forEachCandidateOf(i, add);
+    }
+    template <class Add>
+    void forEachCandidateOf(std::uint32_t i, Add add) const {
+        const PlanNode& node = scope_.nodes[i];
+        if (node.missing_block != PlanNode::kNone) add(Candidate{0, 0, i, false, true});
+        // A root that was missing has been planned.
+        const bool planned_root = node.parent == PlanNode::kNone && node.residency == Residency::kNone;
+        if (node.residency == Residency::kNone && node.record().hasDraft() && !planned_root)
+            add(Candidate{0, 0, i, true, false});
+        if (node.residency != Residency::kWhole && !(planned_root && !node.record().hasDraft()))
+            add(Candidate{0, 0, i, false, false});
     }
 
     // Brings a candidate's worth up to date with what is drawn.
@@ -123,7 +128,9 @@ private:
         const int rank = planRank(node.key, c.draft);
         for (std::uint32_t u = node.begin; u < node.end; ++u) {
             const PlanUnit& unit = scope_.units[u];
-            if (planRank(scope_.nodes[unit.drawn].key, unit.drawn_draft) <= rank) continue;
+            const NodeKey& drawn = scope_.nodes[unit.drawn].key;
+            if (planRank(drawn, unit.drawn_draft) <= rank || drawn.level > node.key.level + kFarthestJump)
+                continue;
             const double square = planSquare(node, c.draft, unit.region);
             sum += unit.measure * (unit.drawn_square - square);
         }
@@ -137,15 +144,17 @@ private:
         return std::tuple(!a.block, a.node, !a.draft) > std::tuple(!b.block, b.node, !b.draft);
     }
 
-    // Lazy greedy: what is drawn gets better, so worth only falls, and a page that is still ahead after
-    // having been weighed anew is the best.
+    // Lazy greedy: what is drawn gets better, so worth falls, and a page that is still ahead after having
+    // been weighed anew is the best. Only pages below one that was taken may be worth more: they are put in
+    // again.
     void planByWorth() {
         auto order = [this](const Candidate& a, const Candidate& b) { return later(a, b); };
         std::priority_queue<Candidate, std::vector<Candidate>, decltype(order)> queue(order);
-        forEachCandidate([&](Candidate c) {
+        auto push = [&](Candidate c) {
             weigh(c);
             if (c.worth > 0 && !isFailed(c)) queue.push(c);
-        });
+        };
+        forEachCandidate(push);
         while (!queue.empty() && !full()) {
             Candidate best = queue.top();
             queue.pop();
@@ -153,8 +162,20 @@ private:
             if (!(best.worth > 0)) continue;
             if (!queue.empty() && later(best, queue.top()))
                 queue.push(best);
-            else
-                take(best);
+            else if (take(best) && !best.block)
+                pushBelow(best.node, kFarthestJump, push);
+        }
+    }
+
+    // Blocks below are in the queue already.
+    template <class Push>
+    void pushBelow(std::uint32_t node, int levels, const Push& push) const {
+        for (std::uint32_t c = scope_.nodes[node].first_child; c != PlanNode::kNone;
+             c = scope_.nodes[c].next_sibling) {
+            forEachCandidateOf(c, [&](const Candidate& candidate) {
+                if (!candidate.block) push(candidate);
+            });
+            if (levels > 1) pushBelow(c, levels - 1, push);
         }
     }
 

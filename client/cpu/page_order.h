@@ -6,7 +6,7 @@
 // of a pixel's alpha is (transmittance of its whole ray)^2 x variance of its optical depth; the variance adds
 // up along the ray: square of the effective deviation (node_error.h) x length x one voxel of the drawn level.
 // A page's worth is the sum, over the rays through it, of what it takes off that, against whatever is drawn
-// there now. Pages of several levels below what is drawn compete, drafts and whole bricks too, so a level
+// there now. Pages of the two levels below what is drawn compete, drafts and whole bricks too, so a level
 // that adds little is jumped over. The order is greedy: best worth per byte first, with the worth of the
 // others brought up to date after each. docs/decisions/0004-page-order.md has the measurements.
 //

@@ -10,7 +10,8 @@ namespace brickyard {
 
 namespace {
 
-// Levels that compete below what is drawn. Each costs twice the time of the one before along a ray.
+// Levels below what is drawn that a plan can reach, step by step. Each costs twice the time of the one before
+// along a ray.
 constexpr int kLookAhead = 4;
 
 // Along a ray the error of a level changes sign from voxel to voxel; that of a draft, which is quantised,
@@ -124,6 +125,10 @@ private:
             added.block = node.block;
             added.parent = parent;
             added.residency = tree_.at(node.ref);
+            if (parent != PlanNode::kNone) {
+                added.next_sibling = scope_.nodes[parent].first_child;
+                scope_.nodes[parent].first_child = at;
+            }
             units_of_.emplace_back().fill(PlanNode::kNone);
         }
         return at;

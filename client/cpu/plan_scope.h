@@ -14,6 +14,7 @@ struct PlanNode {
     NodeKey key;
     const TreeBlock* block = nullptr;
     std::uint32_t parent = kNone;  // stands before the node
+    std::uint32_t first_child = kNone, next_sibling = kNone;
     Residency residency = Residency::kNone;
     std::uint32_t missing_block = kNone;  // that of its children, where rays went no further for lack of it
     std::uint32_t begin = 0, end = 0;     // its units and those of nodes below

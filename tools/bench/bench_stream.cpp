@@ -25,7 +25,7 @@ constexpr std::size_t kMostCaches = 3;
 // Pictures are at most this wide: every stretch of every ray is kept.
 constexpr std::uint32_t kLargestPicture = 192;
 constexpr double kLevels[] = {30, 40, 50};  // dB
-constexpr double kTarget = 40;
+constexpr double kTarget = 40, kHighestPlotted = 65;
 constexpr double kMostOverOracle = 1.3;
 // Density is scaled so that half of the rays that meet anything, framed, are at least this deep.
 constexpr double kCacheDepth = 1, kCloudDepth = 2;
@@ -195,9 +195,11 @@ private:
         PlotPanel panel{title, "bytes", y_label, true, worst, {}};
         for (const NamedRun& named : runs) {
             PlotSeries series{named.name, {}, true, false};
+            // The last page may make the picture exact: no decibels tell that.
             for (const StreamPoint& point : named.run.points)
-                series.points.push_back(
-                    {double(point.bytes), worst ? point.worst : point.psnr, std::string(), false});
+                series.points.push_back({double(point.bytes),
+                                         worst ? point.worst : std::min(point.psnr, kHighestPlotted),
+                                         std::string(), false});
             panel.series.push_back(std::move(series));
         }
         return panel;
