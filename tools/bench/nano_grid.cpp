@@ -19,7 +19,8 @@ std::shared_ptr<const void> gridOf(Buffer buffer) {
 
 openvdb::MaskGrid::Ptr cellsWithDensity(const openvdb::FloatGrid& grid) {
     const auto cells = openvdb::MaskGrid::create();
-    auto accessor = cells->getAccessor();
+    // Not registered with the tree: the tree is not changed in other ways while it is in use.
+    auto accessor = cells->getUnsafeAccessor();
     // A corner belongs to the eight cells below it.
     for (auto leaf = grid.tree().cbeginLeaf(); leaf; ++leaf)
         for (auto value = leaf->cbeginValueAll(); value; ++value) {

@@ -52,8 +52,8 @@ public:
         // Of the cells' lowest corners; the last cell reaches to the one after it.
         const nano::CoordBBox box = cells.tree().bbox();
         for (int a = 0; a < 3; ++a) {
-            low_[a] = float(box.min()[a]);
-            high_[a] = float(box.max()[a] + 1);
+            low_[a] = box.empty() ? 0 : float(box.min()[a]);
+            high_[a] = box.empty() ? 0 : float(box.max()[a] + 1);
         }
     }
 

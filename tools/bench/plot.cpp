@@ -26,7 +26,7 @@ constexpr Colour kPalette[] = {{0.00, 0.45, 0.70}, {0.84, 0.37, 0.00}, {0.00, 0.
                                {0.45, 0.35, 0.25}, {0.45, 0.45, 0.45}};
 constexpr Colour kInk{0.13, 0.13, 0.15}, kFaint{0.88, 0.88, 0.90};
 
-constexpr double kTextPoints = 12, kTitlePoints = 14;
+constexpr double kTextPoints = 12, kTitlePoints = 13;
 constexpr double kLeft = 78, kRight = 16, kTop = 34, kBottom = 48, kLegendLine = 20;
 
 struct Rectangle {

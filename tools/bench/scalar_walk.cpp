@@ -57,6 +57,7 @@ private:
 // The medium ends one sample beyond the box of its active voxels. Gives [begin, end), empty where it is
 // missed.
 std::pair<double, double> clip(const IndexRay& ray, const openvdb::CoordBBox& box) {
+    if (box.empty()) return {0, 0};
     double begin = 0, end = kInfinity;
     for (int a = 0; a < 3; ++a) {
         const double low = box.min()[a] - 1, high = box.max()[a] + 1;
