@@ -30,7 +30,7 @@ bool inSpan(const PacketSpans& spans, int lane) { return spans.begin[lane] < spa
 }  // namespace
 
 bool BeamTile::canTrace(const RenderPlan& plan) {
-    return !plan.emission && !plan.density->empty() && !(plan.density->background() > 0);
+    return !plan.emission && !eyeIsFar(plan) && !plan.density->empty() && !(plan.density->background() > 0);
 }
 
 BeamTile::BeamTile(const RenderPlan& plan, LightField* light, const PixelBox& box,
@@ -180,7 +180,7 @@ void BeamTile::block(std::uint16_t place, const PacketSpans& spans, double least
         if (!hasLane(rays.blocked, lane)) {
             addLane(rays.blocked, lane);
             rays.resume[lane] = packet.begin[lane];
-            rays.at_least[lane] = rays.depth[lane];
+            rays.at_least[lane] = rays.low[lane];
         }
         rays.at_least[lane] += std::max(0.0, least) * (spans.end[lane] - spans.begin[lane]);
         packet.begin[lane] = scouts && rays.at_least[lane] * scale_ < kOpaqueDepth ? spans.end[lane] : kNever;
@@ -286,7 +286,12 @@ void BeamTile::describeBrick(Visit& out) const {
         out.constant =
             std::max(0.0, double(toFloat(channel_.type(), field.block->constant(field.ref.node)[0])));
     out.in_kernel = out.samples && fitsKernel(channel_, record, field.key.level, scale_);
-    if (!out.in_kernel) return;
+    if (!out.in_kernel) {
+        // In double only what cancels between samples of both signs counts.
+        if (record.value_min < 0)
+            out.rounding = kSumRounding * std::max(double(record.value_max), -double(record.value_min));
+        return;
+    }
     const BrickShape shape = channel_.shape();
     const double most = std::max(double(record.value_max), -double(record.value_min));
     const double steepness = double(steepnessOfPage(out.samples, shape));
@@ -428,7 +433,8 @@ void BeamTile::integratePacket(const WalkedNode& node, const Visit& met, const B
         rays.depth[lane] += sum;
         rays.low[lane] += std::min(least, sum);
         rays.high[lane] += std::max(most, sum);
-        packet.begin[lane] = rays.depth[lane] * scale_ > kOpaqueDepth ? kNever : spans.end[lane];
+        // Only what is certain hides what is behind: a coarse node may lose depth when it is refined.
+        packet.begin[lane] = rays.low[lane] * scale_ > kOpaqueDepth ? kNever : spans.end[lane];
         mark.end[lane] = spans.end[lane];
         mark.depth[lane] = rays.depth[lane];
     }
@@ -504,8 +510,8 @@ void BeamTile::lightPixel(std::size_t place, int lane, Pixel& pixel) const {
     const double estimate =
         most * std::sqrt(levels + rays.shadow_deviation[lane] * rays.shadow_deviation[lane] +
                          rays.shadow_variance[lane]);
-    for (std::size_t c = 0; c < 3; ++c) pixel.radiance[c] = float(color[int(c)] * weight);
     constexpr double kMost = std::numeric_limits<float>::max();
+    for (std::size_t c = 0; c < 3; ++c) pixel.radiance[c] = float(std::min(color[int(c)] * weight, kMost));
     pixel.bound_radiance = float(std::min(bound, kMost));
     pixel.estimate_radiance = float(std::min({estimate, bound, kMost}));
 }

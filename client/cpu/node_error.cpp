@@ -37,7 +37,7 @@ NodeErrors errorsOfNode(const NodeRecord& record, const ErrorGrid* grid) {
     errors.bound_scale = double(record.bound);
     if (record.bound == 0) return errors;
     if (!grid) {
-        errors.square_scale = effectiveSquare(double(record.rms), double(record.bound));
+        errors.square_scale = kLeafCorrelation * effectiveSquare(double(record.rms), double(record.bound));
         return errors;
     }
     errors.uniform = false;

@@ -11,6 +11,9 @@ namespace brickyard {
 double effectiveSquare(double rms, double bound);
 // The same from the codes of an error grid, for a scale of 1.
 double effectiveSquareOfCodes(std::uint8_t rms, std::uint8_t bound);
+// Voxels over which the errors of a quantised leaf (a node without an error grid) go together: where the
+// field is smooth, neighbours round the same way.
+inline constexpr double kLeafCorrelation = 4;
 
 // A node's errors by sub-box of its error grid, x fastest: along a ray, the integral over a stretch is off by
 // `bound_scale` x bound[i] x length at most; its expected error has the variance `square_scale` x square[i] x
