@@ -282,6 +282,7 @@ void BeamTile::describeBrick(Visit& out) const {
     const NodeRecord& record = field.record();
     out.errors =
         out.draft ? errorsOfDraft(record) : errorsOfNode(record, field.block->errorGrid(field.ref.node));
+    out.errors.square_scale *= speckFactor(channel_, field.key);
     if (!record.hasBrick())
         out.constant =
             std::max(0.0, double(toFloat(channel_.type(), field.block->constant(field.ref.node)[0])));

@@ -48,6 +48,7 @@ void ChannelRay::describeErrors(RaySegment& segment) const {
     }
     errorsOf(node.record(), node.block->errorGrid(node.ref.node), node.key, segment.span, segment.half_width,
              segment.variance);
+    segment.variance *= speckFactor(*channel_, node.key);
 }
 
 void ChannelRay::begin(bool finest) {

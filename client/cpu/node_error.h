@@ -2,7 +2,7 @@
 // docs/error-bounds.md.
 #pragma once
 
-#include "core/tree_block.h"
+#include "client/paged_channel.h"
 
 namespace brickyard {
 
@@ -27,6 +27,11 @@ struct NodeErrors {
 
     bool exact() const { return bound_scale == 0; }
 };
+// What the mean square of a node's deviation must be multiplied with for rays, which see the medium's box
+// only: its volume over that of what it shares with the box, where the medium is a speck in it; else 1, which
+// the error grid allows for.
+double speckFactor(const PagedChannel& channel, const NodeKey& key);
+
 NodeErrors errorsOfNode(const NodeRecord& record, const ErrorGrid* grid);
 NodeErrors errorsOfDraft(const NodeRecord& record);
 

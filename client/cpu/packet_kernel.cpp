@@ -188,7 +188,13 @@ struct Axis {
         end = hn::Min(end, at(hn::IfThenElse(forward, outer, lowest)));
     }
     HWY_ATTR HWY_INLINE VF at(VF where) const { return hn::Mul(hn::Sub(where, position), inverse); }
-    HWY_ATTR HWY_INLINE VF next() const { return at(plane); }
+    template <bool kOpen>
+    HWY_ATTR HWY_INLINE VF next(const LocalRays& rays, int a) const {
+        if constexpr (!kOpen) return at(plane);
+        const MF outer = hn::Or(hn::Le(plane, hn::Set(kF, float(rays.first[a] - rays.centre))),
+                                hn::Ge(plane, hn::Set(kF, float(rays.last[a] - rays.centre))));
+        return hn::IfThenElse(outer, hn::Set(kF, 1e30f), at(plane));
+    }
     HWY_ATTR HWY_INLINE VF inCell(VF s) const { return hn::Sub(hn::MulAdd(s, direction, position), cell); }
     HWY_ATTR HWY_INLINE void advance(MF where) {
         const VF by = hn::IfThenElseZero(where, step);
@@ -208,15 +214,19 @@ struct Step {
     VF begin, end, length;  // of the step, as s; length 0 for rays that are done
     VI index;               // of the cell: x + y * row + z * slice
 };
-template <class Visit>
+// With `kOpen` the outer planes end nothing and a ray keeps the whole of its span, whatever a float makes of
+// it.
+template <bool kOpen, class Visit>
 HWY_ATTR HWY_INLINE void walk(const LocalRays& rays, std::size_t i, int row, int slice, const Visit& visit) {
     VF s = hn::Load(kF, rays.begin + i), end = hn::Load(kF, rays.end + i);
     MF going = hn::Lt(s, end);
     if (hn::AllFalse(kF, going)) return;
     Axis x, y, z;
-    x.start(rays, 0, i, s, end);
-    y.start(rays, 1, i, s, end);
-    z.start(rays, 2, i, s, end);
+    VF last_plane = end;
+    x.start(rays, 0, i, s, last_plane);
+    y.start(rays, 1, i, s, last_plane);
+    z.start(rays, 2, i, s, last_plane);
+    if constexpr (!kOpen) end = last_plane;
     const float centre = float(rays.centre);
     VI index = hn::Add(x.number(centre), hn::Add(hn::Mul(y.number(centre), hn::Set(kI, row)),
                                                  hn::Mul(z.number(centre), hn::Set(kI, slice))));
@@ -226,7 +236,8 @@ HWY_ATTR HWY_INLINE void walk(const LocalRays& rays, std::size_t i, int row, int
     going = hn::Lt(s, end);
     // A rounding or a NaN must not make it a long walk.
     for (int k = 0; k < rays.most; ++k) {
-        const VF next_x = x.next(), next_y = y.next(), next_z = z.next();
+        const VF next_x = x.next<kOpen>(rays, 0), next_y = y.next<kOpen>(rays, 1),
+                 next_z = z.next<kOpen>(rays, 2);
         const VF exit = hn::Min(hn::Min(next_x, next_y), hn::Min(next_z, end));
         const VF length = hn::IfThenElseZero(going, hn::Max(hn::Sub(exit, s), hn::Zero(kF)));
         going = hn::And(going, visit(Step{x, y, z, s, exit, length, index}));
@@ -365,15 +376,15 @@ HWY_ATTR HWY_INLINE void walkBrick(const LocalRays& rays, std::size_t i, const B
     const VF pairs[3] = {hn::Mul(hn::Mul(dx, dy), twelfth), hn::Mul(hn::Mul(dx, dz), twelfth),
                          hn::Mul(hn::Mul(dy, dz), twelfth)};
     const VF half = hn::Set(kF, 0.5f);
-    walk(rays, i, brick.edge_samples, brick.edge_samples * brick.edge_samples,
-         [&](const Step& step) HWY_ATTR {
-             const VF middle = hn::MulAdd(step.length, half, step.begin);
-             const Corners corners = cornersOf<kQuads>(brick, step.index);
-             VF mean = meanOfField(corners, step.x.inCell(middle), step.y.inCell(middle),
-                                   step.z.inCell(middle), step.length, pairs);
-             if (brick.negative && anyNegative(corners)) mean = meanOfSigned(brick, step, mean);
-             return take(step, hn::Mul(step.length, mean));
-         });
+    walk<false>(rays, i, brick.edge_samples, brick.edge_samples * brick.edge_samples,
+                [&](const Step& step) HWY_ATTR {
+                    const VF middle = hn::MulAdd(step.length, half, step.begin);
+                    const Corners corners = cornersOf<kQuads>(brick, step.index);
+                    VF mean = meanOfField(corners, step.x.inCell(middle), step.y.inCell(middle),
+                                          step.z.inCell(middle), step.length, pairs);
+                    if (brick.negative && anyNegative(corners)) mean = meanOfSigned(brick, step, mean);
+                    return take(step, hn::Mul(step.length, mean));
+                });
 }
 
 template <class Body>
@@ -554,7 +565,7 @@ HWY_ATTR void IntegrateGrid(const RayPacket& packet, const double* low, double e
     if (!localRays(packet, low, edge / kEdge, kEdge / 2, kBegin, kEnd, spans, rays)) return;
     for (std::size_t i = 0; i < kRays; i += hn::Lanes(kF)) {
         VF sum_first = hn::Zero(kF), sum_second = hn::Zero(kF);
-        walk(rays, i, kEdge, kEdge * kEdge, [&](const Step& step) HWY_ATTR {
+        walk<true>(rays, i, kEdge, kEdge * kEdge, [&](const Step& step) HWY_ATTR {
             sum_first = hn::MulAdd(step.length, hn::GatherIndex(kF, first, step.index), sum_first);
             sum_second = hn::MulAdd(step.length, hn::GatherIndex(kF, second, step.index), sum_second);
             return hn::Eq(step.length, step.length);
