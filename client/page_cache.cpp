@@ -12,8 +12,26 @@ const float* PageCache::find(const PageAddress& page) const {
     const auto found = index_.find(page);
     if (found == index_.end()) return nullptr;
     Slot& slot = *slots_[found->second];
-    slot.last_used.store(pass_, std::memory_order_relaxed);
+    // Most finds of a pass are not the first of their page: they only read, so threads share the line. Of
+    // those that race to be the first, one sees the old number, so that a hit is counted once.
+    if (slot.last_used.load(std::memory_order_relaxed) < pass_) {
+        const std::uint64_t before = slot.last_used.exchange(pass_, std::memory_order_relaxed);
+        if (before < picture_begin_) hits_.fetch_add(1, std::memory_order_relaxed);
+    }
     return slot.samples.get();
+}
+
+PageCacheCounters PageCache::counters() const {
+    PageCacheCounters all = counters_;
+    all.hits = hits_.load(std::memory_order_relaxed);
+    return all;
+}
+
+std::vector<bool>::reference PageCache::evictedBit(const PageAddress& page) {
+    std::vector<bool>& nodes =
+        evicted_[std::uint64_t(page.channel) << 33 | std::uint64_t(page.draft) << 32 | page.block];
+    if (nodes.size() <= page.node) nodes.resize(page.node + 1);
+    return nodes[page.node];
 }
 
 float* PageCache::insert(const PageAddress& page) {
@@ -37,10 +55,11 @@ float* PageCache::insert(const PageAddress& page) {
         at = eviction_order_.back();
         eviction_order_.pop_back();
         index_.erase(slots_[at]->page);
-        evicted_[slots_[at]->page] = true;
-        ++evictions_;
+        evictedBit(slots_[at]->page) = true;
+        ++counters_.evictions;
     }
-    if (evicted_.contains(page)) ++reloads_;
+    ++counters_.loads;
+    if (counters_.evictions > 0 && evictedBit(page)) ++counters_.reloads;
     Slot& slot = *slots_[at];
     slot.page = page;
     slot.pinned = false;

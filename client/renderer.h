@@ -11,6 +11,7 @@
 #include "client/brick_source.h"
 #include "client/cpu/render_plan.h"
 #include "client/picture.h"
+#include "client/resident_frame.h"
 #include "core/result.h"
 
 namespace brickyard {
@@ -23,6 +24,9 @@ struct RenderRequest {
     std::optional<double> density_scale;  // wins over the scene's
     QualitySettings quality;
     std::uint64_t cache_bytes = 1u << 30;
+    // What earlier pictures of the frame left, and what this one leaves; begins anew where it is of another
+    // frame or budget. nullptr: the picture starts from nothing and keeps nothing. Outlives the picture.
+    ResidentFrame* kept = nullptr;
     std::uint64_t max_stream_bytes = UINT64_MAX;
     std::optional<std::chrono::duration<double>> deadline;
     unsigned threads = 0;  // 0: one per processor
@@ -52,10 +56,10 @@ struct RenderOutcome {
     double seconds_total = 0, seconds_first_image = 0;
     // Rays only: of all passes, or with RenderRequest::repeats the median of those (all pages resident).
     double seconds_render = 0;
-    SourceCounters streamed;
+    SourceCounters streamed;        // since the source was opened
     std::uint64_t cache_bytes = 0;  // most that the page cache held
     std::uint64_t tree_bytes = 0;   // octree topology in memory
-    std::uint64_t cache_reloads = 0;
+    PageCacheCounters cache;        // of this picture
     std::uint64_t passes = 0;
 };
 

@@ -124,7 +124,7 @@ nlohmann::json toJson(const RenderOutcome& outcome) {
         {"tree_blocks_streamed", outcome.streamed.blocks_streamed},
         {"round_trips", outcome.streamed.round_trips},
         {"cache_bytes", outcome.cache_bytes},
-        {"cache_reloads", outcome.cache_reloads},
+        {"cache_reloads", outcome.cache.reloads},
         {"tree_bytes", outcome.tree_bytes},
         {"passes", outcome.passes},
         {"max_error_bound", max_bound},

@@ -50,7 +50,8 @@ struct Tile {
 
 class CpuPicture {
 public:
-    CpuPicture(BrickSource& source, const RenderRequest& request) : source_(source), request_(request) {}
+    CpuPicture(BrickSource& source, const RenderRequest& request)
+        : source_(source), request_(request), held_(request.kept ? *request.kept : own_) {}
 
     Result<RenderOutcome> run();
 
@@ -78,13 +79,13 @@ private:
     Result<void> take(const PageWish& wish);
     void arrive(const Arrival& arrival);
     PagedChannel* channelOf(std::uint32_t index) {
-        if (density_ && density_->index() == index) return &*density_;
-        return emission_ && emission_->index() == index ? &*emission_ : nullptr;
+        if (density_ && density_->index() == index) return density_;
+        return emission_ && emission_->index() == index ? emission_ : nullptr;
     }
     bool late() const { return request_.deadline && Clock::now() - begin_ >= *request_.deadline; }
     void forEachThread(const std::function<void(unsigned)>& body) const;
     RayContext context(WantList& wants, std::uint32_t tile) const {
-        return {&*cache_, &failed_, &wants, tile, std::max<std::size_t>(1, cache_->room() / threads_)};
+        return {cache_, &failed_, &wants, tile, std::max<std::size_t>(1, cache_->room() / threads_)};
     }
 
     BrickSource& source_;
@@ -92,8 +93,11 @@ private:
     Clock::time_point begin_ = Clock::now();
     RenderOutcome outcome_;
     std::optional<PinholeCamera> camera_;
-    std::optional<PagedChannel> density_, emission_;
-    std::optional<PageCache> cache_;
+    ResidentFrame own_;    // where nothing is kept
+    ResidentFrame& held_;  // owns the next three
+    PagedChannel *density_ = nullptr, *emission_ = nullptr;
+    PageCache* cache_ = nullptr;
+    PageCacheCounters counted_before_;
     RenderPlan plan_;
     std::optional<RayTracer> tracer_;
     std::optional<LightField> light_;
@@ -123,12 +127,13 @@ Result<void> CpuPicture::open() {
     Result<SceneSettings> scene = bindScene(request_.scene, *footer);
     if (!scene) return tl::unexpected(scene.error());
     if (request_.density_scale) scene->density_scale = *request_.density_scale;
-    const int edge = int(footer->brick_edge());
-    auto openChannel = [&](std::uint32_t index, std::optional<PagedChannel>& out) -> Result<void> {
-        Result<PagedChannel> channel =
-            PagedChannel::create(footer->channels(int(index)), index, edge, file_bytes);
+    if (Result<void> begun = held_.begin(*footer, file_bytes, request_.cache_bytes); !begun) return begun;
+    cache_ = &held_.cache();
+    counted_before_ = cache_->counters();
+    auto openChannel = [&](std::uint32_t index, PagedChannel*& out) -> Result<void> {
+        Result<PagedChannel*> channel = held_.channel(index);
         if (!channel) return tl::unexpected(channel.error());
-        out = std::move(*channel);
+        out = *channel;
         return {};
     };
     if (Result<void> opened = openChannel(scene->density_channel, density_); !opened) return opened;
@@ -146,15 +151,9 @@ Result<void> CpuPicture::open() {
     if (!camera) return tl::unexpected(camera.error());
     camera_ = *camera;
 
-    const BrickShape shape{edge};
-    cache_.emplace(request_.cache_bytes, pageFloats(shape));
-    if (cache_->capacity() == 0)
-        return fail(ErrorCode::kInvalid,
-                    fmt::format("--cache {} is less than one brick of this dataset; give at least {} bytes",
-                                request_.cache_bytes, cache_->pageBytes()));
     plan_.camera = &*camera_;
-    plan_.density = &*density_;
-    plan_.emission = !glows ? nullptr : emission_ ? &*emission_ : &*density_;
+    plan_.density = density_;
+    plan_.emission = !glows ? nullptr : emission_ ? emission_ : density_;
     plan_.scene = *scene;
     plan_.quality = request_.quality;
     tracer_.emplace(plan_);
@@ -521,9 +520,10 @@ Result<RenderOutcome> CpuPicture::run() {
 
     PageWish overview;
     CameraView view{outcome_.camera, request_.width, request_.height, {}, kOverviewPixelsPerVoxel};
-    for (const std::optional<PagedChannel>* channel : {&density_, &emission_})
-        if (*channel && !(*channel)->empty() && (*channel)->blockCount() > 0)
-            view.channels.push_back((*channel)->index());
+    // A channel of which something was kept needs no overview: its own pages are one.
+    for (const PagedChannel* channel : {density_, emission_})
+        if (channel && !channel->empty() && channel->blockCount() > 0 && !channel->block(0))
+            view.channels.push_back(channel->index());
     if (!view.channels.empty()) {
         overview.views.push_back(view);
         overview.credit_bytes =
@@ -569,7 +569,7 @@ Result<RenderOutcome> CpuPicture::run() {
     outcome_.not_final.no_finer_data = stuck_.load();
     outcome_.streamed = source_.counters();
     outcome_.cache_bytes = cache_->peakBytes();
-    outcome_.cache_reloads = cache_->reloads();
+    outcome_.cache = cache_->counters() - counted_before_;
     outcome_.tree_bytes = density_->treeBytes() + (emission_ ? emission_->treeBytes() : 0);
     outcome_.seconds_total = secondsSince(begin_);
     if (outcome_.final && request_.repeats > 0) {

@@ -2,6 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <thread>
+#include <vector>
+
 namespace brickyard {
 namespace {
 
@@ -27,7 +30,7 @@ TEST_F(PageCacheTest, HoldsWhatFitsAndNeverMore) {
         EXPECT_LE(cache.peakBytes(), 4 * kPageBytes + 5);
         EXPECT_EQ(cache.find(page(node))[0], float(node));
     }
-    EXPECT_EQ(cache.evictions(), 96u);
+    EXPECT_EQ(cache.counters().evictions, 96u);
 }
 
 TEST_F(PageCacheTest, EvictsWhatNoRayUsedLongest) {
@@ -67,10 +70,53 @@ TEST_F(PageCacheTest, CountsWhatHadToComeTwice) {
         cache.beginPass();
         insert(node);
     }
-    EXPECT_EQ(cache.reloads(), 0u);
+    EXPECT_EQ(cache.counters().reloads, 0u);
     cache.beginPass();
     insert(0);
-    EXPECT_EQ(cache.reloads(), 1u);
+    EXPECT_EQ(cache.counters().reloads, 1u);
+}
+
+TEST_F(PageCacheTest, AHitIsAPageThatWasThereWhenThePictureBegan) {
+    insert(0), insert(1);
+    cache.beginPass();
+    cache.find(page(0)), cache.find(page(1));
+    EXPECT_EQ(cache.counters().hits, 0u) << "they came for this very picture";
+    EXPECT_EQ(cache.counters().hitRate(), 0.0);
+
+    const PageCacheCounters before = cache.counters();
+    cache.beginPicture();
+    for (int pass = 0; pass < 3; ++pass) {
+        cache.beginPass();
+        for (int ray = 0; ray < 5; ++ray) EXPECT_TRUE(cache.find(page(0)));
+        EXPECT_FALSE(cache.find(page(2)));
+    }
+    insert(2);
+    cache.beginPass();
+    cache.find(page(2));
+    const PageCacheCounters picture = cache.counters() - before;
+    EXPECT_EQ(picture.hits, 1u) << "one page was used again, whatever the number of rays and passes";
+    EXPECT_EQ(picture.loads, 1u);
+    EXPECT_EQ(picture.hitRate(), 0.5);
+
+    cache.beginPicture();
+    cache.find(page(2));
+    EXPECT_EQ((cache.counters() - before).hits, 2u) << "what came last time is a hit now";
+}
+
+TEST_F(PageCacheTest, RacingThreadsCountAHitOnce) {
+    for (std::uint32_t node = 0; node < 4; ++node) insert(node);
+    std::uint64_t expected = 0;
+    for (int picture = 0; picture < 200; ++picture) {
+        cache.beginPicture();
+        std::vector<std::jthread> threads;
+        for (int t = 0; t < 2; ++t)
+            threads.emplace_back([this] {
+                for (std::uint32_t node = 0; node < 4; ++node) cache.find(page(node));
+            });
+        threads.clear();
+        expected += 4;
+        ASSERT_EQ(cache.counters().hits, expected);
+    }
 }
 
 TEST_F(PageCacheTest, ADraftAndItsBrickAreTwoPages) {

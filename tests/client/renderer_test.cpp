@@ -194,7 +194,7 @@ TEST_F(RendererTest, ThePictureIsTheSameForAnyCacheAndAnyNumberOfThreads) {
             const RenderOutcome tight = draw(request);
             EXPECT_TRUE(tight.final);
             EXPECT_LE(tight.cache_bytes, request.cache_bytes);
-            reloads += tight.cache_reloads;
+            reloads += tight.cache.reloads;
             expectSamePixels(whole.picture, tight.picture);
         }
     EXPECT_GT(reloads, 0u) << "the caches were not tight";

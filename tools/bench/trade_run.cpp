@@ -68,7 +68,7 @@ Result<TradeRun> runSetting(const BenchDataset& dataset, const RenderRequest& re
         run.bytes = outcome->streamed.bytes_streamed;
         run.pages = outcome->streamed.pages_streamed;
         run.cache_bytes = outcome->cache_bytes;
-        run.reloads = outcome->cache_reloads;
+        run.reloads = outcome->cache.reloads;
         run.final = outcome->final;
     }
     run.seconds = timing.median();
