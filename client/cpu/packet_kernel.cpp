@@ -390,7 +390,9 @@ template <bool kQuads>
 HWY_ATTR void integrate(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
                         double* sums) {
     forBrick(packet, brick, spans, [&](const LocalRays& rays, std::size_t i) HWY_ATTR {
-        // Kahan's sum: the rounding of some fifty additions would be the largest error of all.
+        // Kahan's sum: the rounding of some fifty additions would be the largest error of all. A ray that is
+        // done adds zeros while its neighbours go on, and those may move the last bit between `sum` and
+        // `lost`; their difference they leave as it is, so it alone is the ray's own.
         VF sum = hn::Zero(kF), lost = hn::Zero(kF);
         walkBrick<kQuads>(rays, i, brick, [&](const Step&, VF amount) HWY_ATTR {
             const VF add = hn::Sub(amount, lost);
@@ -399,9 +401,11 @@ HWY_ATTR void integrate(const RayPacket& packet, const BrickCells& brick, const 
             sum = total;
             return hn::Eq(sum, sum);
         });
-        alignas(64) float partial[kRays];
+        alignas(64) float partial[kRays], rest[kRays];
         hn::Store(sum, kF, partial);
-        for (std::size_t k = 0; k < hn::Lanes(kF); ++k) sums[i + k] += double(partial[k]) * rays.unit[i + k];
+        hn::Store(lost, kF, rest);
+        for (std::size_t k = 0; k < hn::Lanes(kF); ++k)
+            sums[i + k] += (double(partial[k]) - double(rest[k])) * rays.unit[i + k];
     });
 }
 HWY_ATTR void IntegrateBrick(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
@@ -474,7 +478,7 @@ HWY_ATTR void scatter(const RayPacket& packet, const BrickCells& brick, const Li
     forBrick(packet, brick, spans, [&](const LocalRays& rays, std::size_t i) HWY_ATTR {
         LightTable table;
         lookUpLight(rays, i, light, cells, table);
-        alignas(64) float factors[kRays], partial[kRays];
+        alignas(64) float factors[kRays], partial[kRays], rest[kRays];
         for (std::size_t k = 0; k < hn::Lanes(kF); ++k) factors[k] = float(-scale * rays.unit[i + k]);
         const VF factor = hn::Load(kF, factors), begin = hn::Load(kF, rays.begin + i);
         const VF span = hn::Max(hn::Sub(hn::Load(kF, rays.end + i), begin), hn::Set(kF, 1e-20f));
@@ -500,11 +504,13 @@ HWY_ATTR void scatter(const RayPacket& packet, const BrickCells& brick, const Li
         });
         alignas(64) float weighted[kRays], passed[kRays];
         hn::Store(sum, kF, partial);
+        hn::Store(lost, kF, rest);
         hn::Store(weight, kF, weighted);
         hn::Store(transmittance, kF, passed);
         for (std::size_t k = 0; k < hn::Lanes(kF); ++k) {
             if (!(rays.begin[i + k] < rays.end[i + k])) continue;
-            out.depth[i + k] = double(partial[k]) * rays.unit[i + k];
+            // As integrate() has it.
+            out.depth[i + k] = (double(partial[k]) - double(rest[k])) * rays.unit[i + k];
             out.weight[i + k] = double(weighted[k]);
             out.passed[i + k] = double(passed[k]);
             out.last[i + k] = std::exp(-double(table.value[cells][i + k]));
