@@ -118,6 +118,19 @@ TEST_F(BenchTest, PayShowsThatUnreadChannelsCostNoPage) {
             EXPECT_TRUE(feature.contains(key)) << feature["name"] << " " << key;
 }
 
+TEST_F(BenchTest, AFlightKeepsItsBudgetAndEndsWithTheRightPicture) {
+    const nlohmann::json fly = figures("fly");
+    ASSERT_EQ(fly["flights"].size(), 2u);
+    for (const auto& flight : fly["flights"]) {
+        EXPECT_TRUE(flight["budget_holds"].get<bool>()) << flight;
+        EXPECT_TRUE(flight["all_final"].get<bool>()) << flight;
+        EXPECT_EQ(flight["pixels_unlike_a_fresh_picture"], 0) << flight;
+        EXPECT_GT(flight["reloads"].get<int>(), 0) << "the cache was not tight: " << flight;
+        EXPECT_GT(flight["hit_rate"].get<double>(), 0.3) << flight;
+    }
+    EXPECT_THAT(readFile(folder_ / "fly.csv"), StartsWith("scene,frame,"));
+}
+
 TEST_F(BenchTest, RefusesWhatIsNotThereInOneLine) {
     EXPECT_EQ(bench("nonsense"), 2);
     EXPECT_THAT(err_, HasSubstr("--help"));

@@ -7,15 +7,12 @@
 #include <fstream>
 
 #include "core/dataset.h"
-#include "core/dataset_writer.h"
-#include "core/frame_writer.h"
 #include "tools/bench/bench_cache.h"
 #include "tools/bench/benchmark.h"
 #include "tools/bench/plot.h"
 #include "tools/bench/stream_run.h"
 #include "tools/bench/synthetic_cloud.h"
 #include "tools/bench/text_table.h"
-#include "tools/worker_pool.h"
 
 namespace brickyard {
 namespace {
@@ -41,35 +38,6 @@ struct NamedRun {
     const char* name;
     StreamRun run;
 };
-
-Result<void> storeCloud(const std::filesystem::path& folder) {
-    WorkerPool pool(/*jobs=*/0);
-    const SyntheticCloud cloud(kCloudEdge, pool.parallelFor());
-    BuildOptions build;
-    build.parallel_for = pool.parallelFor();
-    Manifest settings;
-    settings.set_format_major(kFormatMajor);
-    settings.set_format_minor(kFormatMinor);
-    settings.set_brick_edge(std::uint32_t(build.shape.edge_cells));
-    settings.set_nonfinite("reject");
-    auto writer = DatasetWriter::open(folder, settings, ExistingDataset::kContinue);
-    if (!writer) return tl::unexpected(writer.error());
-    const auto temporary = (*writer)->temporaryFrame(0);
-    if (!temporary) return tl::unexpected(temporary.error());
-    auto frame = FrameWriter::create(*temporary);
-    if (!frame) return tl::unexpected(frame.error());
-    const FieldSource* field = &cloud;
-    auto footer = buildFrame({&field, 1}, {&build, 1}, **frame);
-    if (!footer) return tl::unexpected(footer.error());
-    auto finished = (*frame)->finish(*footer);
-    if (!finished) return tl::unexpected(finished.error());
-    FrameEntry entry;
-    entry.set_frame(0);
-    entry.set_file_bytes(finished->file_bytes);
-    entry.set_footer_xxh64(finished->footer_checksum);
-    if (auto done = (*writer)->commitFrame(*temporary, entry); !done) return done;
-    return (*writer)->finish();
-}
 
 Result<double> scaleFor(const BrickStore& store, std::uint32_t channel, const PinholeCamera& camera,
                         double median_depth) {
@@ -140,7 +108,8 @@ private:
         }
         options_.progress("making a cloud");
         const std::filesystem::path cloud = options_.scratch / "cloud.bricks";
-        if (Result<void> stored = storeCloud(cloud); !stored) return tl::unexpected(stored.error());
+        if (Result<void> stored = storeSyntheticCloud(kCloudEdge, cloud); !stored)
+            return tl::unexpected(stored.error());
         scenes.push_back({fmt::format("cloud {}", kCloudEdge), cloud, "density", kCloudDepth});
         return scenes;
     }

@@ -33,5 +33,6 @@ Result<nlohmann::json> benchRender(const BenchOptions& options);
 Result<nlohmann::json> benchTrade(const BenchOptions& options);
 Result<nlohmann::json> benchPay(const BenchOptions& options);
 Result<nlohmann::json> benchStream(const BenchOptions& options);
+Result<nlohmann::json> benchFly(const BenchOptions& options);
 
 }  // namespace brickyard

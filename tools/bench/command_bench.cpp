@@ -30,6 +30,7 @@ constexpr Benchmark kBenchmarks[] = {
     {"trade", "what error costs in bytes and seconds; whether estimates and bounds hold", benchTrade},
     {"pay", "what each feature of a scene costs", benchPay},
     {"stream", "picture by bytes for our order of pages, others and an oracle", benchStream},
+    {"fly", "hits, bytes and memory of a flight through a medium at a constant cache", benchFly},
 };
 
 struct BenchArguments {

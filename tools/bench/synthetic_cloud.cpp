@@ -7,6 +7,11 @@
 #include <glm/mat4x4.hpp>
 #include <random>
 
+#include "core/dataset.h"
+#include "core/dataset_writer.h"
+#include "core/frame_writer.h"
+#include "tools/worker_pool.h"
+
 namespace brickyard {
 
 namespace {
@@ -152,6 +157,35 @@ Result<void> SyntheticCloud::read(const IndexBox& box, SampleBlock& out) const {
                 out.active[i] = value > 0;
             }
     return {};
+}
+
+Result<void> storeSyntheticCloud(int edge, const std::filesystem::path& folder) {
+    WorkerPool pool(/*jobs=*/0);
+    const SyntheticCloud cloud(edge, pool.parallelFor());
+    BuildOptions build;
+    build.parallel_for = pool.parallelFor();
+    Manifest settings;
+    settings.set_format_major(kFormatMajor);
+    settings.set_format_minor(kFormatMinor);
+    settings.set_brick_edge(std::uint32_t(build.shape.edge_cells));
+    settings.set_nonfinite("reject");
+    auto writer = DatasetWriter::open(folder, settings, ExistingDataset::kContinue);
+    if (!writer) return tl::unexpected(writer.error());
+    const auto temporary = (*writer)->temporaryFrame(0);
+    if (!temporary) return tl::unexpected(temporary.error());
+    auto frame = FrameWriter::create(*temporary);
+    if (!frame) return tl::unexpected(frame.error());
+    const FieldSource* field = &cloud;
+    auto footer = buildFrame({&field, 1}, {&build, 1}, **frame);
+    if (!footer) return tl::unexpected(footer.error());
+    auto finished = (*frame)->finish(*footer);
+    if (!finished) return tl::unexpected(finished.error());
+    FrameEntry entry;
+    entry.set_frame(0);
+    entry.set_file_bytes(finished->file_bytes);
+    entry.set_footer_xxh64(finished->footer_checksum);
+    if (auto done = (*writer)->commitFrame(*temporary, entry); !done) return done;
+    return (*writer)->finish();
 }
 
 }  // namespace brickyard

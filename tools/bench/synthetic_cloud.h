@@ -3,6 +3,7 @@
 // Any thread once made.
 #pragma once
 
+#include <filesystem>
 #include <vector>
 
 #include "core/field_source.h"
@@ -39,5 +40,9 @@ private:
     std::vector<float> lattice_;          // random values in [0, 1), kLattice^3, periodic
     std::vector<std::uint8_t> occupied_;  // by tile
 };
+
+// Frame 0 of a new dataset at `folder`: a cloud in a channel "density", with bricks of the default edge.
+// Errors: those of writing.
+Result<void> storeSyntheticCloud(int edge, const std::filesystem::path& folder);
 
 }  // namespace brickyard
