@@ -225,7 +225,7 @@ TEST_F(LightLattices, ATightCacheGivesTheSameLattices) {
             EXPECT_EQ(lattice->deviation, expect->deviation);
             EXPECT_EQ(lattice->spacing_deviation, expect->spacing_deviation);
         }
-        EXPECT_GT(cache_->reloads(), 0u) << "the cache was not tight";
+        EXPECT_GT(cache_->counters().reloads, 0u) << "the cache was not tight";
     }
 }
 
