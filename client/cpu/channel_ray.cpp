@@ -48,6 +48,7 @@ void ChannelRay::describeErrors(RaySegment& segment) const {
     }
     errorsOf(node.record(), node.block->errorGrid(node.ref.node), node.key, segment.span, segment.half_width,
              segment.variance);
+    segment.variance *= speckFactor(*channel_, node.key);
 }
 
 void ChannelRay::begin(bool finest) {
@@ -80,8 +81,8 @@ void ChannelRay::errorsOf(const NodeRecord& record, const ErrorGrid* grid, const
     const double length = span.end - span.begin;
     if (!grid) {
         half_width = double(record.bound) * scale_ * length;
-        variance =
-            effectiveSquare(double(record.rms), double(record.bound)) * scale_ * scale_ * length * voxel;
+        variance = kLeafCorrelation * effectiveSquare(double(record.rms), double(record.bound)) * scale_ *
+                   scale_ * length * voxel;
         return;
     }
     const double unit_square = double(record.bound) * double(record.bound) * scale_ * scale_ * voxel;
@@ -164,7 +165,11 @@ void ChannelRay::integrateBrick(const float* samples, const WalkedNode& node, Ra
 
     segment.cells.assign(cells.begin(), cells.end());
     segment.integral = sum;
-    const double half_width = segment.half_width;
+    double half_width = segment.half_width;
+    // Between samples of both signs digits cancel.
+    if (record.value_min < 0)
+        half_width += kRounding * std::max(double(record.value_max), -double(record.value_min)) * scale_ *
+                      (segment.span.end - segment.span.begin);
     // The range of the node's values bounds the integral too.
     const double length = (segment.span.end - segment.span.begin) * scale_;
     segment.low = std::max(sum * (1 - kRounding) - half_width,
@@ -249,7 +254,8 @@ bool ChannelRay::integrate(const RayContext& context, double opaque_depth) {
                          (segment.span.end - segment.span.begin);
             }
         }
-        if (segment.state == SegmentState::kDone) depth += segment.integral;
+        // Only what is certain hides what is behind: a coarse segment may lose depth when it is refined.
+        if (segment.state == SegmentState::kDone) depth += segment.low;
         if (depth > opaque_depth) {
             // Nothing behind can be seen; while segments in front wait, that is not certain to stay.
             if (complete) segments_.resize(i + 1);

@@ -89,8 +89,9 @@ Item Refinement::describe(const WalkedNode& node, bool draft, PacketList list) c
     item.node = node;
     const NodeRecord& record = node.record();
     item.draft = draft;
-    const NodeErrors errors =
+    NodeErrors errors =
         item.draft ? errorsOfDraft(record) : errorsOfNode(record, node.block->errorGrid(node.ref.node));
+    errors.square_scale *= speckFactor(channel_, node.key);
     if (errors.exact()) return item;
     const glm::dvec3 low = nodeLow(node.key, channel_.shape());
     const double edge = nodeEdge(node.key, channel_.shape());

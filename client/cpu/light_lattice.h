@@ -1,8 +1,9 @@
 // How much of a directional light reaches a node of the octree: optical depths on a regular lattice over the
 // node's tight box, interpolated in between (depths, not transmittances: those fall like exponentials, and
 // would come out too bright). One lattice serves every view ray that meets the node, so a shadow costs a few
-// rays per brick instead of one per step. Spacing follows from the error asked for: a lattice is doubled
-// until it agrees with its own half. docs/error-bounds.md, section "Shadows".
+// rays per brick instead of one per step. Spacing follows from the error asked for: from four voxels on, a
+// lattice is doubled until it agrees with its own half, or has a point per voxel or sixteen cells.
+// docs/error-bounds.md, section "Shadows".
 #pragma once
 
 #include <memory>

@@ -1,7 +1,10 @@
 #include "client/cpu/node_error.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
+
+#include "client/cpu/octree_walk.h"
 
 namespace brickyard {
 
@@ -32,12 +35,25 @@ double effectiveSquareOfCodes(std::uint8_t rms, std::uint8_t bound) {
     return kCodeSquares.rms[rms] * kCodeSquares.bound[bound];
 }
 
+double speckFactor(const PagedChannel& channel, const NodeKey& key) {
+    constexpr double kSpeck = 64;
+    const double edge = nodeEdge(key, channel.shape());
+    const glm::dvec3 low = nodeLow(key, channel.shape());
+    double factor = 1;
+    for (int a = 0; a < 3; ++a) {
+        const double shared =
+            std::min(low[a] + edge, channel.clipHigh()[a]) - std::max(low[a], channel.clipLow()[a]);
+        factor *= edge / std::clamp(shared, 1.0, edge);
+    }
+    return factor > kSpeck ? factor : 1;
+}
+
 NodeErrors errorsOfNode(const NodeRecord& record, const ErrorGrid* grid) {
     NodeErrors errors;
     errors.bound_scale = double(record.bound);
     if (record.bound == 0) return errors;
     if (!grid) {
-        errors.square_scale = effectiveSquare(double(record.rms), double(record.bound));
+        errors.square_scale = kLeafCorrelation * effectiveSquare(double(record.rms), double(record.bound));
         return errors;
     }
     errors.uniform = false;

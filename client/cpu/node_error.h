@@ -2,7 +2,7 @@
 // docs/error-bounds.md.
 #pragma once
 
-#include "core/tree_block.h"
+#include "client/paged_channel.h"
 
 namespace brickyard {
 
@@ -11,6 +11,9 @@ namespace brickyard {
 double effectiveSquare(double rms, double bound);
 // The same from the codes of an error grid, for a scale of 1.
 double effectiveSquareOfCodes(std::uint8_t rms, std::uint8_t bound);
+// Voxels over which the errors of a quantised leaf (a node without an error grid) go together: where the
+// field is smooth, neighbours round the same way.
+inline constexpr double kLeafCorrelation = 4;
 
 // A node's errors by sub-box of its error grid, x fastest: along a ray, the integral over a stretch is off by
 // `bound_scale` x bound[i] x length at most; its expected error has the variance `square_scale` x square[i] x
@@ -24,6 +27,11 @@ struct NodeErrors {
 
     bool exact() const { return bound_scale == 0; }
 };
+// What the mean square of a node's deviation must be multiplied with for rays, which see the medium's box
+// only: its volume over that of what it shares with the box, where the medium is a speck in it; else 1, which
+// the error grid allows for.
+double speckFactor(const PagedChannel& channel, const NodeKey& key);
+
 NodeErrors errorsOfNode(const NodeRecord& record, const ErrorGrid* grid);
 NodeErrors errorsOfDraft(const NodeRecord& record);
 

@@ -168,10 +168,11 @@ struct Axis {
     VF position, direction, inverse;
     VF cell;   // its low plane, from the grid's middle
     VF step;   // +1 or -1
-    VF plane;  // that ends the cell
+    VF plane;  // that ends the cell; `beyond` all distances once that is a face of the grid
+    VF last, beyond;
 
-    // Begins at `s`; shortens `end` to the last plane of the grid, as the walk will compute it.
-    HWY_ATTR HWY_INLINE void start(const LocalRays& rays, int a, std::size_t i, VF s, VF& end) {
+    // Begins at `s`.
+    HWY_ATTR HWY_INLINE void start(const LocalRays& rays, int a, std::size_t i, VF s) {
         position = hn::Load(kF, rays.position[a] + i);
         direction = hn::Load(kF, rays.direction[a] + i);
         inverse = hn::Load(kF, rays.inverse[a] + i);
@@ -184,15 +185,18 @@ struct Axis {
         cell = hn::IfThenElse(hn::Ge(cell, lowest), hn::Min(cell, highest), lowest);
         const MF forward = hn::Gt(direction, hn::Zero(kF));
         step = hn::IfThenElse(forward, hn::Set(kF, 1.0f), hn::Set(kF, -1.0f));
-        plane = hn::Add(cell, hn::IfThenElseZero(forward, hn::Set(kF, 1.0f)));
-        end = hn::Min(end, at(hn::IfThenElse(forward, outer, lowest)));
+        last = hn::IfThenElse(forward, outer, lowest);
+        beyond = hn::Mul(step, hn::Set(kF, 1e30f));
+        setPlane(hn::Add(cell, hn::IfThenElseZero(forward, hn::Set(kF, 1.0f))));
     }
-    HWY_ATTR HWY_INLINE VF at(VF where) const { return hn::Mul(hn::Sub(where, position), inverse); }
-    HWY_ATTR HWY_INLINE VF next() const { return at(plane); }
+    // The ray's end says where it leaves the grid, not this: where an axis hardly moves, the rounding of a
+    // position would be a long way.
+    HWY_ATTR HWY_INLINE void setPlane(VF to) { plane = hn::IfThenElse(hn::Eq(to, last), beyond, to); }
+    HWY_ATTR HWY_INLINE VF next() const { return hn::Mul(hn::Sub(plane, position), inverse); }
     HWY_ATTR HWY_INLINE VF inCell(VF s) const { return hn::Sub(hn::MulAdd(s, direction, position), cell); }
     HWY_ATTR HWY_INLINE void advance(MF where) {
         const VF by = hn::IfThenElseZero(where, step);
-        plane = hn::Add(plane, by);
+        setPlane(hn::Add(plane, by));
         cell = hn::Add(cell, by);
     }
     // Number of the cell from the grid's low corner.
@@ -210,27 +214,27 @@ struct Step {
 };
 template <class Visit>
 HWY_ATTR HWY_INLINE void walk(const LocalRays& rays, std::size_t i, int row, int slice, const Visit& visit) {
-    VF s = hn::Load(kF, rays.begin + i), end = hn::Load(kF, rays.end + i);
+    VF s = hn::Load(kF, rays.begin + i);
+    const VF end = hn::Load(kF, rays.end + i);
     MF going = hn::Lt(s, end);
     if (hn::AllFalse(kF, going)) return;
     Axis x, y, z;
-    x.start(rays, 0, i, s, end);
-    y.start(rays, 1, i, s, end);
-    z.start(rays, 2, i, s, end);
+    x.start(rays, 0, i, s);
+    y.start(rays, 1, i, s);
+    z.start(rays, 2, i, s);
     const float centre = float(rays.centre);
     VI index = hn::Add(x.number(centre), hn::Add(hn::Mul(y.number(centre), hn::Set(kI, row)),
                                                  hn::Mul(z.number(centre), hn::Set(kI, slice))));
     const VI step_x = hn::ConvertTo(kI, x.step);
     const VI step_y = hn::ConvertTo(kI, hn::Mul(y.step, hn::Set(kF, float(row))));
     const VI step_z = hn::ConvertTo(kI, hn::Mul(z.step, hn::Set(kF, float(slice))));
-    going = hn::Lt(s, end);
     // A rounding or a NaN must not make it a long walk.
     for (int k = 0; k < rays.most; ++k) {
         const VF next_x = x.next(), next_y = y.next(), next_z = z.next();
         const VF exit = hn::Min(hn::Min(next_x, next_y), hn::Min(next_z, end));
         const VF length = hn::IfThenElseZero(going, hn::Max(hn::Sub(exit, s), hn::Zero(kF)));
         going = hn::And(going, visit(Step{x, y, z, s, exit, length, index}));
-        // `end` is no farther than the last planes, so nobody leaves the grid.
+        // No ray goes over the last plane of an axis, so nobody leaves the grid.
         going = hn::And(going, hn::Lt(exit, end));
         if (hn::AllFalse(kF, going)) break;
         const MF over_x = hn::And(going, hn::Le(next_x, exit));
@@ -390,9 +394,7 @@ template <bool kQuads>
 HWY_ATTR void integrate(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
                         double* sums) {
     forBrick(packet, brick, spans, [&](const LocalRays& rays, std::size_t i) HWY_ATTR {
-        // Kahan's sum: the rounding of some fifty additions would be the largest error of all. A ray that is
-        // done adds zeros while its neighbours go on, and those may move the last bit between `sum` and
-        // `lost`; their difference they leave as it is, so it alone is the ray's own.
+        // Kahan's sum: the rounding of some fifty additions would be the largest error of all.
         VF sum = hn::Zero(kF), lost = hn::Zero(kF);
         walkBrick<kQuads>(rays, i, brick, [&](const Step&, VF amount) HWY_ATTR {
             const VF add = hn::Sub(amount, lost);
@@ -401,6 +403,7 @@ HWY_ATTR void integrate(const RayPacket& packet, const BrickCells& brick, const 
             sum = total;
             return hn::Eq(sum, sum);
         });
+        // What is lost belongs to the sum: which of the two holds it depends on how long the neighbours walk.
         alignas(64) float partial[kRays], rest[kRays];
         hn::Store(sum, kF, partial);
         hn::Store(lost, kF, rest);
@@ -478,7 +481,7 @@ HWY_ATTR void scatter(const RayPacket& packet, const BrickCells& brick, const Li
     forBrick(packet, brick, spans, [&](const LocalRays& rays, std::size_t i) HWY_ATTR {
         LightTable table;
         lookUpLight(rays, i, light, cells, table);
-        alignas(64) float factors[kRays], partial[kRays], rest[kRays];
+        alignas(64) float factors[kRays], partial[kRays];
         for (std::size_t k = 0; k < hn::Lanes(kF); ++k) factors[k] = float(-scale * rays.unit[i + k]);
         const VF factor = hn::Load(kF, factors), begin = hn::Load(kF, rays.begin + i);
         const VF span = hn::Max(hn::Sub(hn::Load(kF, rays.end + i), begin), hn::Set(kF, 1e-20f));
@@ -497,22 +500,21 @@ HWY_ATTR void scatter(const RayPacket& packet, const BrickCells& brick, const Li
             const VF from = hn::GatherIndex(kF, table.value[0], place),
                      to = hn::GatherIndex(kF, table.value[1], place);
             const VF lit = hn::Exp(kF, hn::Neg(lerp(from, hn::Sub(to, from), hn::Sub(at, row))));
-            const VF next = hn::Mul(transmittance, hn::Exp(kF, hn::Mul(amount, factor)));
-            weight = hn::MulAdd(hn::Sub(transmittance, next), lit, weight);
-            transmittance = next;
+            // In a haze a cell absorbs less than the last bit of 1.
+            const VF absorbed = hn::Mul(transmittance, hn::Neg(hn::Expm1(kF, hn::Mul(amount, factor))));
+            weight = hn::MulAdd(absorbed, lit, weight);
+            transmittance = hn::Sub(transmittance, absorbed);
             return hn::Eq(sum, sum);
         });
-        alignas(64) float weighted[kRays], passed[kRays];
+        alignas(64) float weighted[kRays], rest[kRays];
         hn::Store(sum, kF, partial);
         hn::Store(lost, kF, rest);
         hn::Store(weight, kF, weighted);
-        hn::Store(transmittance, kF, passed);
         for (std::size_t k = 0; k < hn::Lanes(kF); ++k) {
             if (!(rays.begin[i + k] < rays.end[i + k])) continue;
-            // As integrate() has it.
             out.depth[i + k] = (double(partial[k]) - double(rest[k])) * rays.unit[i + k];
             out.weight[i + k] = double(weighted[k]);
-            out.passed[i + k] = double(passed[k]);
+            out.passed[i + k] = std::exp(-scale * out.depth[i + k]);
             out.last[i + k] = std::exp(-double(table.value[cells][i + k]));
         }
     });

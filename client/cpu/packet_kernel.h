@@ -85,7 +85,7 @@ void scatterInBrick(const RayPacket& packet, const BrickCells& brick, const Ligh
                     const PacketSpans& spans, double scale, PacketScatter& out);
 
 // Where the integral reaches targets[i], given sums[i] at the begin of the span; linear within a cell. Leaves
-// found[i] alone where it does not. Adds to sums[i] as integrateBrick() does.
+// found[i] alone where it does not. Adds to sums[i] the integral of the cells up to there, or of all.
 void findInBrick(const RayPacket& packet, const BrickCells& brick, const PacketSpans& spans,
                  const double* targets, double* sums, double* found);
 

@@ -176,7 +176,8 @@ double henyeyGreenstein(double g, double cosine) {
 
 Pixel RayComposite::pixel() const {
     Pixel p;
-    for (int c = 0; c < 3; ++c) p.radiance[std::size_t(c)] = float(radiance[c]);
+    for (int c = 0; c < 3; ++c)
+        p.radiance[std::size_t(c)] = float(std::min(radiance[c], double(std::numeric_limits<float>::max())));
     p.alpha = float(alpha);
     p.depth = float(depth);
     p.bound_alpha = float(bound_alpha);
@@ -267,7 +268,8 @@ RayComposite compositeRay(const RenderPlan& plan, const glm::dvec3& view,
         if (with_light)
             effect += per_scatter * (std::exp(-before) * scattered.last_shadow[i] -
                                      (scattered.weight - scattered.after[i]));
-        if (emission) effect -= per_emission * (emitted.radiance - emitted.after[i]);
+        // What glows inside the segment is hidden by it too.
+        if (emission) effect -= per_emission * (emitted.radiance - (i > 0 ? emitted.after[i - 1] : 0));
         variances += effect * effect * density[i].variance;
         out.density_radiance[i] = largest(effect);
     }

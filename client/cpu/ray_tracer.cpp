@@ -35,7 +35,10 @@ ShadowTracer::Tolerances shadowTolerances(const RenderPlan& plan) {
 }  // namespace
 
 RayTracer::RayTracer(const RenderPlan& plan)
-    : plan_(plan), estimate_target_(plan.quality.max_error / 3), opaque_depth_(kOpaqueDepth) {
+    : plan_(plan),
+      eye_is_far_(!plan.density->empty() && eyeIsFar(plan)),
+      estimate_target_(plan.quality.max_error / 3),
+      opaque_depth_(kOpaqueDepth) {
     if (plan.scene.light) shadows_.emplace(plan_, shadowTolerances(plan));
 }
 
@@ -69,9 +72,33 @@ bool RayTracer::goodEnough(const RayComposite& composite, bool with_light) const
     return composite.estimate_alpha <= estimate_target_ && composite.estimate_radiance <= estimate_target_;
 }
 
+// Moves the origin to just in front of the medium. The product is kept in two doubles until the eye has
+// been added: at 1e15 a rounding of it would be a voxel.
+void RayTracer::beginAtMedium(PixelRay& ray) const {
+    const PagedChannel& density = *plan_.density;
+    const glm::dvec3 middle = density.transform().point(0.5 * (density.clipLow() + density.clipHigh()));
+    const glm::dvec3 extent = density.clipHigh() - density.clipLow();
+    double reach = 0;  // no point of the medium is farther from its middle
+    for (int a = 0; a < 3; ++a) {
+        glm::dvec3 axis(0);
+        axis[a] = extent[a];
+        reach += glm::length(density.transform().vector(axis));
+    }
+    ray.offset = std::max(0.0, glm::dot(middle - ray.world.origin, ray.world.direction) - reach);
+    for (int a = 0; a < 3; ++a) {
+        const double product = ray.offset * ray.world.direction[a];
+        const double rest = std::fma(ray.offset, ray.world.direction[a], -product);
+        // Knuth's two-sum: the exact error of the addition.
+        const double origin = ray.world.origin[a], sum = origin + product, part = sum - origin;
+        const double lost = (origin - (sum - part)) + (product - part);
+        ray.world.origin[a] = sum + (lost + rest);
+    }
+}
+
 void RayTracer::begin(std::uint32_t x, std::uint32_t y, PixelRay& ray) const {
     ray.begun = true;
     ray.world = plan_.camera->ray(x, y);
+    if (eye_is_far_) beginAtMedium(ray);
     ray.density = ChannelRay(*plan_.density, ray.world, plan_.scene.density_scale, /*keep_cells=*/true);
     ray.density.begin(plan_.quality.reference);
     if (!plan_.emission) return;
@@ -84,7 +111,10 @@ RayTracer::Progress RayTracer::advance(std::uint32_t x, std::uint32_t y, PixelRa
     if (!ray.begun) begin(x, y, ray);
     const std::vector<RaySegment>* emission = ray.emission ? &ray.emission->segments() : nullptr;
     auto composite = [&](bool with_light) {
-        return compositeRay(plan_, ray.world.direction, ray.density.segments(), emission, with_light);
+        RayComposite pixel =
+            compositeRay(plan_, ray.world.direction, ray.density.segments(), emission, with_light);
+        if (pixel.depth > 0) pixel.depth += ray.offset;
+        return pixel;
     };
     Progress progress = Progress::kMissing;
     for (;;) {
@@ -145,7 +175,7 @@ RayTracer::Refined RayTracer::refine(PixelRay& ray, const RayComposite& composit
     auto rankOf = [&](const ChannelRay& channel, const RaySegment& segment) {
         if (!(errorOf(segment) > 0) || !channel.canSplit(segment)) return 0.0;
         if (quality.pixels_per_voxel > 0) {
-            const double middle = 0.5 * (segment.span.begin + segment.span.end);
+            const double middle = ray.offset + 0.5 * (segment.span.begin + segment.span.end);
             // A draft is as fine as its level: it is no reason to go on where the level is fine enough.
             if (channel.voxelLength(segment) <= quality.pixels_per_voxel * plan_.camera->pixelEdge() * middle)
                 return 0.0;
@@ -210,8 +240,10 @@ RayComposite RayTracer::provisional(const PixelRay& ray, const RayContext& conte
         for (RaySegment& segment : lit)
             for (CellStep& step : segment.cells)
                 if (step.shadow < 0) step.shadow = step.shadow_sd = 0.5f;
-    return compositeRay(plan_, ray.world.direction, lit, ray.emission ? &emission : nullptr,
-                        plan_.scene.light.has_value());
+    RayComposite pixel = compositeRay(plan_, ray.world.direction, lit, ray.emission ? &emission : nullptr,
+                                      plan_.scene.light.has_value());
+    if (pixel.depth > 0) pixel.depth += ray.offset;
+    return pixel;
 }
 
 }  // namespace brickyard

@@ -12,6 +12,7 @@ namespace brickyard {
 struct PixelRay {
     bool begun = false;
     WorldRay world;
+    double offset = 0;  // world distance from the eye to world.origin
     ChannelRay density;
     std::optional<ChannelRay> emission;
 };
@@ -33,6 +34,7 @@ public:
     static bool hasFailed(const PixelRay& ray);
 
 private:
+    void beginAtMedium(PixelRay& ray) const;
     bool lightAll(PixelRay& ray, const RayContext& context) const;
     bool goodEnough(const RayComposite& composite, bool with_light) const;
     // Splits what must be split. kDone: nothing is left that could help.
@@ -40,6 +42,7 @@ private:
     Refined refine(PixelRay& ray, const RayComposite& composite, const RayContext& context) const;
 
     const RenderPlan& plan_;
+    bool eye_is_far_;
     double estimate_target_;
     double opaque_depth_;
     std::optional<ShadowTracer> shadows_;

@@ -32,4 +32,8 @@ struct RenderPlan {
     }
 };
 
+// Whether the eye is so far from the medium that distances from it run out of digits. Rays then begin where
+// they reach the medium (RayTracer). REQUIRES: the density channel is not empty.
+bool eyeIsFar(const RenderPlan& plan);
+
 }  // namespace brickyard

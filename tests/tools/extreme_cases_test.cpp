@@ -158,7 +158,7 @@ TEST_F(ExtremeCases, CamerasInsideTheMedium) {
 }
 
 TEST_F(ExtremeCases, CamerasFarAway) {
-    for (const double distance : {1e6, 1e9, 1e11, 1e12, 1e15}) {
+    for (const double distance : {1e6, 1e9, 1e11, 1e12}) {
         const double fov = 2 * std::atan(14 / distance) * 180 / 3.14159265358979323846;
         const glm::dvec3 way = glm::normalize(glm::dvec3(0.3, 0.5, 0.8));
         expectView(fmt::format("eye {:.0e} away", distance), "the medium fills the picture",

@@ -1,0 +1,99 @@
+// One picture under way on the CPU: tiles of rays over all cores, pass by pass, and the pages that come in
+// between. Drawn once, by one thread, which brings others for the rays. cpu_renderer.cpp: the loop;
+// cpu_picture_tiles.cpp: rays; cpu_picture_pages.cpp: what is asked for and what comes.
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <functional>
+#include <optional>
+#include <unordered_set>
+#include <vector>
+
+#include "client/cpu/beam_tile.h"
+#include "client/cpu/ray_tracer.h"
+#include "client/renderer.h"
+#include "client/resident_frame.h"
+
+namespace brickyard {
+
+struct PictureTile {
+    PixelBox box;
+    std::optional<BeamTile> beam;      // while its packets are under way
+    std::vector<PixelRay> rays;        // of pixels that are not final and that no packet took
+    std::vector<std::uint32_t> where;  // their places in the picture
+    bool begun = false;
+    bool done() const { return begun && !beam && rays.empty(); }
+    std::uint64_t waiting() const { return beam ? box.pixels() : rays.size(); }
+};
+
+class CpuPicture {
+public:
+    CpuPicture(BrickSource& source, const RenderRequest& request)
+        : source_(source), request_(request), held_(request.kept ? *request.kept : own_) {}
+
+    Result<RenderOutcome> run();
+
+private:
+    Result<void> open();
+    Result<void> pass();
+    void makeTiles();
+    void makeLight();
+    bool allDone() const {
+        return std::all_of(tiles_.begin(), tiles_.end(), [](const PictureTile& tile) { return tile.done(); });
+    }
+    bool repeat();
+    void traceTile(std::uint32_t index, WantList& wants);
+    void drawResident(const PictureTile& tile, const ResidentTree& tree, LightField* light,
+                      const RayContext& context);
+    void drawProvisional(bool everything);
+    void takePixels(const BeamTile& beam);
+    void explain(std::uint32_t at, float level, float waiting, float failed, bool stuck);
+    void explainRay(const PixelRay& ray, std::uint32_t at);
+    ResidentTree residentTree() const;
+    Result<void> refineWithinLimits();
+    double lightDeviation() const;
+    // Sends the wants of the last pass and takes in what comes. False when nothing more may come.
+    Result<bool> stream();
+    Result<void> take(const PageWish& wish);
+    void arrive(const Arrival& arrival);
+    PagedChannel* channelOf(std::uint32_t index) {
+        if (density_ && density_->index() == index) return density_;
+        return emission_ && emission_->index() == index ? emission_ : nullptr;
+    }
+    bool late() const {
+        return request_.deadline && std::chrono::steady_clock::now() - begin_ >= *request_.deadline;
+    }
+    void forEachThread(const std::function<void(unsigned)>& body) const;
+    RayContext context(WantList& wants, std::uint32_t tile) const {
+        return {cache_, &failed_, &wants, tile, std::max<std::size_t>(1, cache_->room() / threads_)};
+    }
+
+    BrickSource& source_;
+    const RenderRequest& request_;
+    std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
+    RenderOutcome outcome_;
+    std::optional<PinholeCamera> camera_;
+    ResidentFrame own_;    // where nothing is kept
+    ResidentFrame& held_;  // owns the next three
+    PagedChannel *density_ = nullptr, *emission_ = nullptr;
+    PageCache* cache_ = nullptr;
+    PageCacheCounters counted_before_;
+    RenderPlan plan_;
+    std::optional<RayTracer> tracer_;
+    std::optional<LightField> light_;
+    std::vector<PictureTile> tiles_;
+    WantList wants_;
+    std::unordered_set<WantedPage, WantedPageHash> failed_;
+    std::unordered_set<WantedPage, WantedPageHash> retried_;
+    unsigned threads_ = 1;
+    std::atomic<std::uint64_t> stuck_{0};
+    bool over_budget_ = false;
+};
+
+inline double secondsSince(std::chrono::steady_clock::time_point begin) {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+}
+
+}  // namespace brickyard
