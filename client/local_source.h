@@ -33,7 +33,7 @@ private:
     std::shared_ptr<BlockCache> blocks_;
     std::shared_ptr<const FrameReader> frame_;
     std::uint32_t frame_number_ = 0;  // of frame_
-    std::optional<WishWalk> walk_;  // what is left of the newest wish
+    std::optional<WishWalk> walk_;    // what is left of the newest wish
     SourceCounters counters_;
 };
 
