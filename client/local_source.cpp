@@ -26,9 +26,15 @@ Result<std::unique_ptr<LocalSource>> LocalSource::open(const std::filesystem::pa
 
 Result<FrameFooter> LocalSource::openFrame(std::uint32_t frame) {
     ++counters_.round_trips;
+    // Once more for another picture: a new reader would have all of its blocks decoded and cached again.
+    if (frame_ && frame_number_ == frame) {
+        walk_.reset();
+        return frame_->footer();
+    }
     auto store = dataset_.openFrame(frame);
     if (!store) return tl::unexpected(store.error());
     walk_.reset();
+    frame_number_ = frame;
     frame_ = std::make_shared<const FrameReader>(std::move(*store), blocks_);
     return frame_->footer();
 }

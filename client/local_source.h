@@ -32,7 +32,8 @@ private:
     Dataset dataset_;
     std::shared_ptr<BlockCache> blocks_;
     std::shared_ptr<const FrameReader> frame_;
-    std::optional<WishWalk> walk_;  // what is left of the newest wish
+    std::uint32_t frame_number_ = 0;  // of frame_
+    std::optional<WishWalk> walk_;    // what is left of the newest wish
     SourceCounters counters_;
 };
 
