@@ -58,6 +58,7 @@ struct RenderOutcome {
     double seconds_render = 0;
     SourceCounters streamed;        // since the source was opened
     std::uint64_t cache_bytes = 0;  // most that the page cache held
+    std::uint64_t light_bytes = 0;  // lattices of the light, beside the cache
     std::uint64_t tree_bytes = 0;   // octree topology in memory
     PageCacheCounters cache;        // of this picture
     std::uint64_t passes = 0;

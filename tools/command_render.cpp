@@ -125,6 +125,7 @@ nlohmann::json toJson(const RenderOutcome& outcome) {
         {"round_trips", outcome.streamed.round_trips},
         {"cache_bytes", outcome.cache_bytes},
         {"cache_reloads", outcome.cache.reloads},
+        {"light_bytes", outcome.light_bytes},
         {"tree_bytes", outcome.tree_bytes},
         {"passes", outcome.passes},
         {"max_error_bound", max_bound},

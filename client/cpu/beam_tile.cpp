@@ -437,10 +437,13 @@ Pixel BeamTile::pixelOf(std::size_t place, int lane) const {
     return pixel;
 }
 
-BeamTile::Why BeamTile::whyOf(std::size_t place, int lane) const {
+BeamTile::Why BeamTile::whyOf(std::size_t place, int lane, const Pixel& pixel) const {
     const BeamRays& rays = rays_[place];
+    // Shadows are as fine as their lattices go, which the cut knows nothing of.
+    const bool dim = !resident_ && !plan_.quality.reference && !plan_.quality.strict &&
+                     double(pixel.estimate_radiance) > plan_.quality.max_error / 3;
     return {rays.depth[lane] > 0 ? float(rays.level[lane] / rays.depth[lane]) : 0, float(rays.waiting[lane]),
-            hasLane(rays.stuck, lane)};
+            hasLane(rays.stuck, lane) || dim};
 }
 
 bool BeamTile::settle() {
@@ -470,12 +473,6 @@ bool BeamTile::settle() {
 bool BeamTile::allSettled() const {
     return std::all_of(rays_.begin(), rays_.end(),
                        [](const BeamRays& rays) { return rays.settled == 0xffff; });
-}
-
-std::uint64_t BeamTile::stuckRays() const {
-    std::uint64_t count = 0;
-    for (const BeamRays& rays : rays_) count += std::uint64_t(__builtin_popcount(rays.stuck));
-    return count;
 }
 
 // Splits, by topology alone, what the rays that are not settled ask for. False while a tree block is missing:

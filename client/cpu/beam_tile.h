@@ -82,12 +82,12 @@ public:
     void forEachPixel(Draw&& draw) const {
         for (std::size_t p = 0; p < rays_.size(); ++p)
             for (int lane = 0; lane < BeamRays::kRays; ++lane)
-                if (hasLane(pixels_.lanes[p].used, lane))
-                    draw(pixels_.lanes[p].place[lane], pixelOf(p, lane), whyOf(p, lane));
+                if (hasLane(pixels_.lanes[p].used, lane)) {
+                    const Pixel pixel = pixelOf(p, lane);
+                    draw(pixels_.lanes[p].place[lane], pixel, whyOf(p, lane, pixel));
+                }
     }
     std::size_t packets() const { return rays_.size(); }
-    // Rays that are as fine as the data, and yet above the error asked for.
-    std::uint64_t stuckRays() const;
 
 private:
     // After each node: where each ray of a packet was, and its depth. A chain per packet, newest first.
@@ -137,7 +137,7 @@ private:
     PacketMask descends(const WalkedNode& node);
     AlphaComposite alphaOf(std::size_t place, int lane) const;
     Pixel pixelOf(std::size_t place, int lane) const;
-    Why whyOf(std::size_t place, int lane) const;
+    Why whyOf(std::size_t place, int lane, const Pixel& pixel) const;
     void lightPixel(std::size_t place, int lane, Pixel& pixel) const;
     // Adds a node's integral to sums.
     void sumNode(const Visit& visit, const BrickCells& cells, const RayPacket& packet,

@@ -48,7 +48,7 @@ private:
     void drawResident(const PictureTile& tile, const ResidentTree& tree, LightField* light,
                       const RayContext& context);
     void drawProvisional(bool everything);
-    void takePixels(const BeamTile& beam);
+    std::uint64_t takePixels(const BeamTile& beam);
     void explain(std::uint32_t at, float level, float waiting, float failed, bool stuck);
     void explainRay(const PixelRay& ray, std::uint32_t at);
     ResidentTree residentTree() const;

@@ -10,8 +10,9 @@ namespace brickyard {
 namespace {
 
 constexpr std::uint32_t kTileEdge = 32;
-// Segments kept of rays that wait, over all tiles; tiles beyond it are taken up later.
-constexpr std::uint64_t kMaxWaitingRays = 4u << 20;
+// Rays that wait keep what they have found, some hundreds of bytes each; tiles beyond this are taken up
+// later.
+constexpr std::uint64_t kMaxWaitingRays = 512u << 10;
 
 }  // namespace
 
@@ -87,8 +88,7 @@ void CpuPicture::traceTile(std::uint32_t index, WantList& wants) {
             tile.beam.reset();
             return takeAll();
         }
-        takePixels(*tile.beam);
-        stuck_.fetch_add(tile.beam->stuckRays(), std::memory_order_relaxed);
+        stuck_.fetch_add(takePixels(*tile.beam), std::memory_order_relaxed);
         const std::vector<PixelPlace> others = tile.beam->others();
         tile.beam.reset();
         for (const PixelPlace& place : others) take(place.x, place.y);
@@ -156,12 +156,16 @@ void CpuPicture::drawResident(const PictureTile& tile, const ResidentTree& tree,
     }
 }
 
-void CpuPicture::takePixels(const BeamTile& beam) {
+// Gives how many pixels the finest data leave above the error asked for.
+std::uint64_t CpuPicture::takePixels(const BeamTile& beam) {
+    std::uint64_t stuck = 0;
     beam.forEachPixel([&](PixelPlace place, const Pixel& pixel, const BeamTile::Why& why) {
         const std::uint32_t at = place.y * outcome_.picture.width + place.x;
         outcome_.picture.pixels[at] = pixel;
+        stuck += why.stuck;
         if (request_.explain) explain(at, why.level, why.waiting, 0, why.stuck);
     });
+    return stuck;
 }
 
 // What a pixel waits for is queued or over budget; which of them is known when the picture ends.

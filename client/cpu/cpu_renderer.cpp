@@ -137,6 +137,7 @@ Result<RenderOutcome> CpuPicture::run() {
     outcome_.cache_bytes = cache_->peakBytes();
     outcome_.cache = cache_->counters() - counted_before_;
     outcome_.tree_bytes = density_->treeBytes() + (emission_ ? emission_->treeBytes() : 0);
+    outcome_.light_bytes = light_ ? light_->bytes() : 0;
     outcome_.seconds_total = secondsSince(begin_);
     if (outcome_.final && request_.repeats > 0) {
         const double in_passes = outcome_.seconds_render;
