@@ -32,7 +32,7 @@ bool BeamTile::findInMark(std::size_t place, const Mark& mark, const PacketSpans
             if (!samples) return false;
         }
     }
-    if (samples && fitsKernel(channel_, node.record(), node.key.level, scale_)) {
+    if (samples && fitsKernel(channel_, node.record(), node.key.level, plan_)) {
         findInBrick(packet, cellsOf(channel_, node, samples), spans, targets, before, found);
         return true;
     }

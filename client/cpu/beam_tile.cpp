@@ -247,7 +247,7 @@ void BeamTile::describeBrick(Visit& out) const {
     if (!record.hasBrick())
         out.constant =
             std::max(0.0, double(toFloat(channel_.type(), field.block->constant(field.ref.node)[0])));
-    out.in_kernel = out.samples && fitsKernel(channel_, record, field.key.level, scale_);
+    out.in_kernel = out.samples && fitsKernel(channel_, record, field.key.level, plan_);
     if (!out.in_kernel) {
         // In double only what cancels between samples of both signs counts.
         if (record.value_min < 0)

@@ -4,6 +4,7 @@
 #include "client/brick_page.h"
 #include "client/cpu/octree_walk.h"
 #include "client/cpu/packet_kernel.h"
+#include "client/cpu/render_plan.h"
 
 namespace brickyard {
 
@@ -24,13 +25,15 @@ inline BrickCells cellsOf(const PagedChannel& channel, const WalkedNode& node, c
 }
 
 // Whether the float kernel takes the brick: its densest voxel has little enough optical depth that the
-// rounding stays below what a pixel of floats shows (measured: 4e-7 of alpha at 13 a voxel), and no value is
-// near a float's limits. Other bricks are summed in double.
+// rounding stays below what a pixel of floats shows (measured: 4e-7 of alpha at 13 a voxel), or well below
+// the error that is allowed; and no value is near a float's limits. Other bricks are summed in double.
 inline bool fitsKernel(const PagedChannel& channel, const NodeRecord& record, int level,
-                       double density_scale) {
-    constexpr double kMostVoxelDepth = 16, kLeastValue = 1e-30, kMostValue = 1e34;
+                       const RenderPlan& plan) {
+    constexpr double kMostVoxelDepth = 16, kMostPerError = 1e4, kLeastValue = 1e-30, kMostValue = 1e34;
+    const double allowed =
+        kMostVoxelDepth + (plan.quality.reference ? 0 : kMostPerError * plan.quality.max_error);
     const double most = std::max(std::abs(double(record.value_max)), std::abs(double(record.value_min)));
-    return most * density_scale * cellEdge(level) * channel.transform().voxelSize() <= kMostVoxelDepth &&
+    return most * plan.scene.density_scale * cellEdge(level) * channel.transform().voxelSize() <= allowed &&
            most >= kLeastValue && most <= kMostValue;
 }
 

@@ -26,7 +26,7 @@ bool inSpan(const PacketSpans& spans, int lane) { return spans.begin[lane] < spa
 
 ShadowBeam::ShadowBeam(const RenderPlan& plan, double deviation, const std::vector<glm::dvec3>& points,
                        const ResidentTree* resident)
-    : channel_(*plan.density), scale_(plan.scene.density_scale) {
+    : plan_(plan), channel_(*plan.density), scale_(plan.scene.density_scale) {
     if (resident) drawn_.emplace(*resident);
     glm::dvec3 direction = channel_.transform().inverseVector(plan.scene.light->to_light);
     const double longest = std::max({std::abs(direction.x), std::abs(direction.y), std::abs(direction.z)});
@@ -150,7 +150,7 @@ ShadowBeam::Field ShadowBeam::fieldOf(const WalkedNode& node, double worth, cons
 void ShadowBeam::meet(const WalkedNode& node, PacketList list, double worth, const RayContext& context) {
     const Field field = fieldOf(node, worth, context);
     const bool in_kernel =
-        field.samples && fitsKernel(channel_, field.node.record(), field.node.key.level, scale_);
+        field.samples && fitsKernel(channel_, field.node.record(), field.node.key.level, plan_);
     BrickCells cells;
     if (field.samples) cells = cellsOf(channel_, field.node, field.samples);
     if (in_kernel && list.count * kLanes >= kRaysForQuads) cells.quads = t_quads.of(cells);

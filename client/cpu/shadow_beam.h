@@ -51,6 +51,7 @@ private:
     void meet(const WalkedNode& node, PacketList list, double worth, const RayContext& context);
     void block(std::uint16_t place, const PacketSpans& spans, bool scouts);
 
+    const RenderPlan& plan_;
     const PagedChannel& channel_;
     double scale_;
     double variance_per_length_;  // allowed, of the field's integral squared, per world length
