@@ -496,9 +496,7 @@ bool BeamTile::refine(const RayContext& context) {
         lit_effect = [this, most = mostScattered() * scale_](std::size_t place, int lane, double distance) {
             return most * transmittanceBefore(place, lane, distance);
         };
-    if (cut_number_ >= kMostCuts || !refineCut(plan_, order_, rays, lit_effect, context, cut_)) {
-        if (cut_number_ < kMostCuts) return false;
-    }
+    if (cut_number_ < kMostCuts && !refineCut(plan_, order_, rays, lit_effect, context, cut_)) return false;
     // A ray that no split could touch has the finest there is.
     for (std::size_t p = 0; p < rays_.size(); ++p)
         for (int lane = 0; lane < kLanes; ++lane)
