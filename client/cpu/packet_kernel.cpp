@@ -256,10 +256,12 @@ struct Corners {
 };
 
 #if HWY_TARGET == HWY_SCALAR || HWY_TARGET == HWY_EMU128
+// No blocks of four lanes to load: corners are gathered, and this is never called.
 constexpr bool kHasBlocks = false;
+[[maybe_unused]] HWY_ATTR HWY_INLINE void transposeQuads(const float*, const std::int32_t*, VF&, VF&, VF&,
+                                                         VF&) {}
 #else
 constexpr bool kHasBlocks = true;
-#endif
 
 // Block b of the result is the four floats at base + 4 * index[4 b].
 template <class T>
@@ -289,6 +291,7 @@ template <class T>
     q2 = hn::BitCast(kF, hn::InterleaveLower(wide, c, d));
     q3 = hn::BitCast(kF, hn::InterleaveUpper(wide, c, d));
 }
+#endif
 
 template <bool kQuads>
 HWY_ATTR HWY_INLINE Corners cornersOf(const BrickCells& brick, VI index) {
