@@ -14,6 +14,12 @@
 
 namespace brickyard {
 
+// A note that the source keeps beside its samples, carried through unread. `type` is OpenVDB's word
+// ("string", "float", "vec3s"), `value` the bytes as OpenVDB serialises them, without their length.
+struct MetadataEntry {
+    std::string name, type, value;
+};
+
 // What a channel is, beside its samples.
 struct ChannelInfo {
     std::string name;  // UTF-8
@@ -27,6 +33,9 @@ struct ChannelInfo {
     std::string grid_class = "unknown";  // OpenVDB's words
     std::string vector_type;
     bool saved_as_half = false;
+    // The source's own integer type where it is narrower than `type` ("uint16"); else empty.
+    std::string source_type;
+    std::vector<MetadataEntry> metadata;  // in the source's order
 };
 
 // All samples of a box: `values` component by component (planar), each x fastest, `sampleBytes(type)` a
@@ -48,14 +57,21 @@ public:
 
     virtual const ChannelInfo& info() const = 0;
 
-    // The one value and state that every sample of `box` has, or nothing where they differ. Must be cheap on
-    // huge boxes: it is asked top-down, from boxes of 2^32 samples an edge to single bricks. Positions
-    // outside int32 are inactive background.
+    // The one value and state that every sample of `box` has, or nothing where they differ or where that is
+    // not known without reading samples. Must be cheap: it is asked top-down, from boxes of 2^32 samples an
+    // edge to single bricks. Positions outside int32 are inactive background. Errors of the source are
+    // read()'s to tell.
     virtual std::optional<UniformRegion> uniformOver(const IndexBox& box) const = 0;
 
     // The samples of `box`, which has at most 2^24. Errors: whatever reading the source can meet, with file
     // and grid.
     virtual Result<void> read(const IndexBox& box, SampleBlock& out) const = 0;
+
+    // True where boxes that follow each other along x, then y, then z are read faster than in any other order
+    // (a dump).
+    virtual bool prefersRows() const { return false; }
+    // Nothing will be asked for a while: what is kept for speed may go. Not while another thread reads.
+    virtual void release() const {}
 };
 
 }  // namespace brickyard

@@ -11,8 +11,7 @@
 #include "core/io_error.h"
 #include "core/printable_name.h"
 #include "tools/frame_plan.h"
-#include "tools/importers/openvdb_source.h"
-#include "tools/importers/vdb_reader_guard.h"
+#include "tools/importers/input_file.h"
 #include "tools/progress_line.h"
 #include "tools/worker_pool.h"
 
@@ -46,7 +45,7 @@ struct PlannedFrame {
 
 // One frame's fields, and what stands beside them in its files.
 struct FrameFields {
-    std::vector<std::unique_ptr<VdbField>> fields;
+    std::vector<std::unique_ptr<FieldSource>> fields;
     std::vector<std::filesystem::path> files;  // beside `fields`: where each came from
 };
 
@@ -155,11 +154,11 @@ private:
         std::vector<std::string> notes;
         std::string names, left_out;
         for (const auto& file : frame.inputs.files) {
-            VdbLimits limits;
-            limits.memory_bytes = options_.memory_bytes;
-            if (auto checked = checkVdb(file, options_.channels, limits, options_.probe_program); !checked)
-                return tl::unexpected(checked.error());
-            auto contents = readVdb(file, options_.channels);
+            InputOptions input;
+            input.channels = options_.channels;
+            input.memory_bytes = options_.memory_bytes;
+            input.probe_program = options_.probe_program;
+            auto contents = openInput(file, input);
             if (!contents) return tl::unexpected(contents.error());
             for (const std::string& name : contents->names)
                 if (names.size() < 200) names += (names.empty() ? "" : ", ") + printableName(name);

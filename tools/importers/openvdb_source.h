@@ -12,6 +12,7 @@
 
 #include "core/field_source.h"
 #include "core/result.h"
+#include "tools/importers/input_file.h"
 
 namespace brickyard {
 
@@ -21,12 +22,6 @@ public:
     // field. Nothing for types that it does not interpolate (integers, bools) and next to the limits of
     // int32.
     virtual std::optional<std::array<double, 3>> boxSample(const glm::dvec3& index) const = 0;
-};
-
-// A grid that is sound, but is no channel.
-struct SkippedGrid {
-    std::string name;    // as a channel would be called
-    std::string reason;  // "is a frustum grid ..."
 };
 
 struct VdbContents {
