@@ -41,11 +41,13 @@ struct BrickToEncode {
 
 struct EncodedBrick {
     std::vector<std::byte> payload;
-    double error_made = 0;  // measured by decoding this payload
+    double error_made = 0;  // measured on the samples that this payload decodes to
+    double rms_made = 0;    // root mean square of the same deviation, over all samples and components
     // Prefix of `payload` that decodes alone, below payload.size(); 0: no draft, because none was asked for
     // or none paid (the whole would be over 18 % larger than without, or the draft not below half of that).
     std::size_t draft_bytes = 0;
-    double draft_error_made = 0;  // measured by decoding the draft; at most draft_error
+    double draft_error_made = 0;  // measured on the samples that the draft decodes to; at most draft_error
+    double draft_rms_made = 0;
 };
 
 // Never fails. A brick with NaN or infinity comes back bit for bit, whatever error is allowed; keeping them

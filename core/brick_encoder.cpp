@@ -492,6 +492,39 @@ PayloadActivity activityOf(const BrickToEncode& brick, std::span<const std::byte
     return PayloadActivity::kMask;
 }
 
+template <class T>
+double rmsOf(const T* before, const T* after, std::size_t n, double largest) {
+    // In parts of the largest, so that squares neither vanish nor overflow. Sums that do not depend on each
+    // other.
+    constexpr std::size_t kLanes = 8;
+    std::array<double, kLanes> squares{};
+    const double inverse = 1 / largest;
+    if (!std::isfinite(inverse)) return largest;
+    std::size_t i = 0;
+    for (; i + kLanes <= n; i += kLanes)
+        for (std::size_t k = 0; k < kLanes; ++k) {
+            const double d = (double(after[i + k]) - double(before[i + k])) * inverse;
+            squares[k] += d * d;
+        }
+    double sum = 0;
+    for (; i < n; ++i)
+        sum += (double(after[i]) - double(before[i])) * inverse *
+               ((double(after[i]) - double(before[i])) * inverse);
+    for (double part : squares) sum += part;
+    return largest * std::sqrt(sum / double(n));
+}
+
+// Root mean square of decoded less given. REQUIRES: a float type, and `largest` is the largest deviation,
+// above 0.
+double rmsDeviation(const BrickToEncode& brick, std::span<const std::byte> decoded, double largest) {
+    const std::size_t n = brick.shape.samples() * std::size_t(brick.components);
+    if (brick.type == SampleType::kFloat32)
+        return rmsOf(reinterpret_cast<const float*>(brick.values.data()),
+                     reinterpret_cast<const float*>(decoded.data()), n, largest);
+    return rmsOf(reinterpret_cast<const double*>(brick.values.data()),
+                 reinterpret_cast<const double*>(decoded.data()), n, largest);
+}
+
 // `mask_entry` is that of the mask at the end of the section's streams, if the states need one.
 void appendSection(const Candidate& section, std::uint8_t flags, PayloadActivity activity,
                    std::uint32_t mask_entry, std::vector<std::byte>& out) {
@@ -534,11 +567,14 @@ EncodedBrick encodeBrick(const BrickToEncode& given) {
 
     EncodedBrick encoded;
     encoded.error_made = exact.error_made;
+    if (exact.error_made > 0) encoded.rms_made = rmsDeviation(brick, exact.decoded, exact.error_made);
     encoded.payload.reserve(32 + exact.bytes() + (draft ? draft->bytes() : 0));
     if (draft) {
         appendSection(*draft, kDraftFlag, PayloadActivity::kNotKept, 0, encoded.payload);
         encoded.draft_bytes = encoded.payload.size();
         encoded.draft_error_made = draft->error_made;
+        if (draft->error_made > 0)
+            encoded.draft_rms_made = rmsDeviation(brick, draft->decoded, draft->error_made);
     }
     appendSection(exact, 0, activity, mask_entry, encoded.payload);
     return encoded;

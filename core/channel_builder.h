@@ -1,75 +1,96 @@
-// One channel's way from field to octree: plan, coarse levels with their deviations, level-0 bricks, tree
-// blocks. The steps are called in order; buildFrame interleaves those of several channels. Not thread-safe;
-// uses the ParallelFor of its options inside a step.
+// One channel's way from field to octree: a plan, chunks of level 0, tiers of chunks above them, tree blocks.
+// The steps are called in order; buildFrame interleaves those of several channels. Not thread-safe but where
+// said.
 #pragma once
 
+#include <map>
 #include <memory>
+#include <optional>
 #include <unordered_map>
 #include <vector>
 
+#include "core/chunk.h"
 #include "core/finite_field.h"
+#include "core/first_error.h"
 #include "core/octree_builder.h"
 #include "core/octree_plan.h"
+#include "core/scratch_file.h"
+#include "core/subtree_store.h"
 #include "core/tree_block_encoder.h"
 
 namespace brickyard {
 
-class ChannelBuilder {
+class ChannelBuilder final : private BaseLevel {
 public:
-    // Errors: those of FiniteField::create; kInvalid (a region of one value that is not finite).
+    // `source` and `scratch` outlive it. Errors: those of FiniteField::create.
     static Result<std::unique_ptr<ChannelBuilder>> create(const FieldSource& source,
-                                                          const BuildOptions& options);
+                                                          const BuildOptions& options, ScratchFile& scratch);
 
-    // Plans the tree and computes, encodes and measures every level above 0. Payloads stay in memory.
-    Result<void> buildLevels();
-    std::size_t brickCount() const { return plan_.levels().empty() ? 0 : plan_.levels()[0].size(); }
-    // Encodes level 0 and appends it. `done` counts bricks over all channels.
-    Result<void> writeFinest(FrameWriter& writer, std::size_t& done, std::size_t total);
+    // Finds the chunks. Errors: kInvalid (a region of one value that is not finite), the source's.
+    Result<void> plan();
+    std::size_t chunkCount() const { return plan_->chunks().size(); }
+    // A chunk of level 0, not read yet. Any thread.
+    std::unique_ptr<Chunk> chunk(std::size_t index) const;
+    // What a chunk takes in memory, about.
+    std::uint64_t chunkBytes() const;
+    // Takes over a finished chunk of level 0: its bricks go to the writer. In the order of chunk indices.
+    Result<void> commitFinest(Chunk& chunk, FrameWriter& writer);
+    // After the last chunk: the levels above, and the roots.
+    Result<void> buildTiers(const ParallelFor& parallel_for);
+
+    int levelCount() const { return level_count_; }
     // Appends the payloads of one level >= 1; nothing where the channel has no such level.
     Result<void> writeLevel(FrameWriter& writer, int level);
-    int levelCount() const { return int(plan_.levels().size()); }
     // Appends the tree blocks; gives the channel's part of the footer.
     Result<ChannelFooter> writeTree(FrameWriter& writer);
 
 private:
-    struct Node {
-        NodeRecord record;
-        std::vector<double> exact;    // unquantised samples of this level, planar; freed after the next level
-        std::vector<double> decoded;  // what a reader gets; freed after its deviations are measured
-        std::vector<std::byte> payload;  // levels above 0, until written
-        std::vector<ValueBits> constant;
-        ErrorGrid grid;
-        double deviation = 0;         // largest, before rounding to the record's float
-        bool states_uniform = false;  // every voxel in the region is active, or none is
-        bool states_active = false;
-        bool pruned = false;   // lies within the error bound: becomes a leaf, nothing below it is stored
-        bool dropped = false;  // below a pruned node
+    struct Base {
+        ChunkNode node;  // without payload
+        std::uint64_t samples_at = 0, residual_at = 0;
+    };
+    using Nodes = std::unordered_map<NodeKey, std::unique_ptr<TreeNode>, NodeKeyHash>;
+    struct Level {
+        std::vector<std::pair<std::uint64_t, std::uint64_t>>
+            extents;  // of payloads in the scratch file, in order
+        std::uint64_t bytes = 0, bricks = 0;
+        std::uint64_t begin = 0;  // in the frame file, once written
     };
 
-    ChannelBuilder(FiniteField field, const BuildOptions& options);
+    ChannelBuilder(const FieldSource& source, FiniteField field, const BuildOptions& options,
+                   ScratchFile& scratch);
 
-    std::vector<Node>& level(int l) { return nodes_[std::size_t(l)]; }
-    Result<std::vector<double>> readBrick(const NodeKey& key, SampleBlock& block) const;
-    Result<void> gatherFine(const NodeKey& key, std::vector<double>& fine) const;
-    Result<void> buildNode(const PlannedNode& planned, Node& node);
-    Result<void> measureLevel(int l);
-    void collectParts(const PlannedNode& from, std::vector<NodeKey>& bricks,
-                      std::vector<std::pair<NodeKey, UniformRegion>>& uniform) const;
-    void summarise(const PlannedNode& planned, Node& node);
-    Result<void> readStatistics();
-    void prune();
-    void encodeFinest(const SampleBlock& block, double parent_rms, Node& node,
-                      std::vector<std::byte>& payload) const;
-    std::unique_ptr<TreeNode> treeNode(const NodeKey& key);
-    std::size_t componentCount() const { return std::size_t(field_.info().components); }
+    // BaseLevel: the tier that was finished last.
+    const ChunkNode* find(const NodeKey& key) const override;
+    const UniformRegion* uniformAt(const NodeKey& key) const override { return plan_->uniformAt(key); }
+    Result<std::vector<double>> samples(const NodeKey& key) const override;
+    Result<std::vector<CellResidual>> residual(const NodeKey& key) const override;
 
+    Result<double> largestMagnitude() const;
+    bool isTop(const std::vector<NodeKey>& keys, int level) const;
+    std::vector<NodeKey> tierRoots(int base) const;
+    Result<void> putPayloads(Chunk& chunk, int lowest_depth);
+    Result<std::unique_ptr<TreeNode>> treeOf(Chunk& chunk, int depth, int x, int y, int z);
+    Result<void> keepBase(Chunk& chunk, bool for_next_tier,
+                          std::unordered_map<NodeKey, Base, NodeKeyHash>& bases);
+    Result<void> trimRoots();
+    void placePayloads(TreeNode& node, int level) const;
+    Result<void> loadPlaced(TreeNode& stub) const;
+
+    const FieldSource* source_;
     FiniteField field_;
     BuildOptions options_;
-    OctreePlan plan_;
-    std::vector<std::vector<Node>> nodes_;  // beside plan_.levels()
-    double scale_ = 1;                      // keeps squared deviations in range
-    double value_min_ = 0, value_max_ = 0;
-    bool any_active_ = false;
+    ScratchFile* scratch_;
+    SubtreeStore subtrees_;
+    ChunkSettings settings_;
+    std::optional<OctreePlan> plan_;
+    bool several_tiers_ = false;
+    std::unordered_map<NodeKey, Base, NodeKeyHash> bases_;
+    Nodes tops_;  // of the same level as bases_
+    std::vector<std::pair<NodeKey, std::unique_ptr<TreeNode>>> roots_;
+    int level_count_ = 0;
+    std::map<int, Level> levels_;
+    ActiveSummary active_;
     double error_made_ = 0;
     std::uint64_t bricks_ = 0, payload_bytes_ = 0;
 };

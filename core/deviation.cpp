@@ -1,8 +1,13 @@
 #include "core/deviation.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
+#include <cstdint>
+#include <utility>
 #include <vector>
+
+#include "core/vector_clones.h"
 
 namespace brickyard {
 
@@ -34,20 +39,246 @@ Placement place(const NodeKey& node, const NodeKey& part, BrickShape shape) {
 
 int gridIndex(int x, int y, int z) { return x + kErrorGridEdge * (y + kErrorGridEdge * z); }
 
-// Linear interpolation of one axis at every level-0 sample of a brick: which cell, and where in it.
-struct Lerp {
-    int cell = 0;  // relative to the axis' first cell
-    double t = 0;
+// The loops below are over plain arrays, written so that a compiler turns them into vectors. `below` and
+// `above` are planes of (n + 1)^2 values, between which the field is interpolated at `t`.
+#define BRICKYARD_BAND_DEVIATION(T)                                                                       \
+    BRICKYARD_VECTOR_CLONES                                                                               \
+    void bandDeviation(const double* below, const double* above, double t, const T* samples,              \
+                       std::size_t row, std::size_t n, std::size_t rows, double inverse, double* largest, \
+                       double* squares) {                                                                 \
+        for (std::size_t j = 0; j <= rows; ++j) {                                                         \
+            const double* const a = below + j * (n + 1);                                                  \
+            const double* const b = above + j * (n + 1);                                                  \
+            const T* const s = samples + j * row;                                                         \
+            if (squares && j < rows) {                                                                    \
+                for (std::size_t i = 0; i < n; ++i) {                                                     \
+                    const double d = std::abs(a[i] + (b[i] - a[i]) * t - double(s[i]));                   \
+                    largest[i] = d > largest[i] ? d : largest[i];                                         \
+                    squares[i] += (d * inverse) * (d * inverse);                                          \
+                }                                                                                         \
+            } else {                                                                                      \
+                for (std::size_t i = 0; i < n; ++i) {                                                     \
+                    const double d = std::abs(a[i] + (b[i] - a[i]) * t - double(s[i]));                   \
+                    largest[i] = d > largest[i] ? d : largest[i];                                         \
+                }                                                                                         \
+            }                                                                                             \
+            const double d = std::abs(a[n] + (b[n] - a[n]) * t - double(s[n]));                           \
+            largest[n] = d > largest[n] ? d : largest[n];                                                 \
+        }                                                                                                 \
+    }
+BRICKYARD_BAND_DEVIATION(float)
+BRICKYARD_BAND_DEVIATION(double)
+BRICKYARD_BAND_DEVIATION(std::int32_t)
+BRICKYARD_BAND_DEVIATION(std::int64_t)
+BRICKYARD_BAND_DEVIATION(std::uint8_t)
+#undef BRICKYARD_BAND_DEVIATION
+
+// One row of residuals into the sums of its cells: `sums` holds four arrays of n, for the corners (y, z)
+// below and above.
+BRICKYARD_VECTOR_CLONES
+void addResidualRow(const double* residual, std::size_t n, const double* weights, double* sums,
+                    double* squares) {
+    for (std::size_t i = 0; i < n; ++i) {
+        const double r = residual[i];
+        sums[i] += weights[0] * r;
+        sums[n + i] += weights[1] * r;
+        sums[2 * n + i] += weights[2] * r;
+        sums[3 * n + i] += weights[3] * r;
+        squares[i] += r * r;
+    }
+}
+
+BRICKYARD_VECTOR_CLONES
+void mixRows(const double* a, const double* b, double t, std::size_t n, double* out) {
+    for (std::size_t i = 0; i < n; ++i) out[i] = a[i] + (b[i] - a[i]) * t;
+}
+
+// The node's field at the level-0 samples of a brick below it, interpolated along x and y: planes at the
+// node's own lattice positions along z, of which two at a time are asked for.
+class ExpandedPlanes {
+public:
+    // `first`: the node's sample at the brick's first corner; `factor`: level-0 samples per cell of the node.
+    ExpandedPlanes(SampleCube<double> first, int n, int factor)
+        : first_(first), n_(std::size_t(n)), factor_(std::size_t(factor)), cells_(n_ / factor_) {
+        thread_local std::vector<double> buffer;
+        const std::size_t plane = (n_ + 1) * (n_ + 1), rows = (cells_ + 1) * (n_ + 1);
+        buffer.resize(2 * plane + rows);
+        planes_ = {buffer.data(), buffer.data() + plane};
+        rows_ = buffer.data() + 2 * plane;
+        expand(0, planes_[0]);
+    }
+    std::size_t cells() const { return cells_; }
+    // Planes z and z + 1. Called with rising z, each once.
+    std::pair<const double*, const double*> between(std::size_t z) {
+        if (z > 0) std::swap(planes_[0], planes_[1]);
+        expand(z + 1, planes_[1]);
+        return {planes_[0], planes_[1]};
+    }
+
+private:
+    void expand(std::size_t z, double* out) {
+        for (std::size_t j = 0; j <= cells_; ++j) {
+            const double* const in = first_.rowAt(j, z);
+            double* const row = rows_ + j * (n_ + 1);
+            for (std::size_t c = 0; c < cells_; ++c)
+                for (std::size_t i = 0; i < factor_; ++i)
+                    row[c * factor_ + i] = in[c] + (in[c + 1] - in[c]) * (double(i) / double(factor_));
+            row[n_] = in[cells_];
+        }
+        for (std::size_t j = 0; j <= n_; ++j) {
+            const std::size_t cell = std::min(j / factor_, cells_ - 1);
+            const double* const a = rows_ + cell * (n_ + 1);
+            if (j == n_)
+                std::copy_n(a + n_ + 1, n_ + 1, out + j * (n_ + 1));
+            else
+                mixRows(a, a + n_ + 1, double(j % factor_) / double(factor_), n_ + 1, out + j * (n_ + 1));
+        }
+    }
+
+    SampleCube<double> first_;
+    std::size_t n_, factor_, cells_;
+    std::array<double*, 2> planes_{};
+    double* rows_ = nullptr;
 };
 
-std::vector<Lerp> lerps(const Axis& axis, double step, int n, int last_cell) {
-    std::vector<Lerp> out(std::size_t(n) + 1);
-    for (int i = 0; i <= n; ++i) {
-        const double u = axis.begin + i * step;
-        const int cell = std::min(int(u), last_cell);
-        out[std::size_t(i)] = {cell - axis.first_cell, u - cell};
+// Sums over the m^3 level-0 samples of a cell (half-open), of products of two corner weights: c^T W d.
+class CellProducts {
+public:
+    explicit CellProducts(int level) {
+        // Sums over i in [0, m) of the products of the two hat weights (1 - i/m) and i/m.
+        const double m = std::ldexp(1.0, level);
+        const double s1 = (m - 1) / 2, s2 = (m - 1) * (2 * m - 1) / (6 * m);
+        axis_ = {{{m - 2 * s1 + s2, s1 - s2}, {s1 - s2, s2}}};
     }
-    return out;
+    // W d, axis by axis.
+    std::array<double, 8> applied(std::array<double, 8> d) const {
+        for (const int bit : {1, 2, 4})
+            for (int q = 0; q < 8; ++q) {
+                if ((q & bit) != 0) continue;
+                const double low = d[std::size_t(q)], high = d[std::size_t(q | bit)];
+                d[std::size_t(q)] = axis_[0][0] * low + axis_[0][1] * high;
+                d[std::size_t(q | bit)] = axis_[1][0] * low + axis_[1][1] * high;
+            }
+        return d;
+    }
+
+private:
+    std::array<std::array<double, 2>, 2> axis_{};
+};
+
+double dot(const std::array<double, 8>& a, const std::array<double, 8>& b) {
+    double sum = 0;
+    for (std::size_t q = 0; q < 8; ++q) sum += a[q] * b[q];
+    return sum;
+}
+
+// Trilinear interpolation between 8 corners, corner q at (q & 1, q >> 1 & 1, q >> 2).
+double between(const std::array<double, 8>& corners, const std::array<double, 3>& t) {
+    double sum = 0;
+    for (std::size_t q = 0; q < 8; ++q) {
+        const double weight =
+            ((q & 1) ? t[0] : 1 - t[0]) * ((q & 2) ? t[1] : 1 - t[1]) * ((q & 4) ? t[2] : 1 - t[2]);
+        if (weight != 0) sum += weight * corners[q];
+    }
+    return sum;
+}
+
+// The parts of a region of one value as cells of the node, or as one piece of a cell.
+template <class Visit>
+void forPieces(const NodeKey& node, const NodeKey& part, BrickShape shape, Visit&& visit) {
+    const Placement placed = place(node, part, shape);
+    const double extent = std::ldexp(double(shape.edge_cells), part.level - node.level);
+    const int cells = std::max(1, int(extent));
+    const double piece = std::min(1.0, extent);  // in cells of the node
+    std::array<double, 3> from{};
+    if (extent < 1)
+        for (std::size_t a = 0; a < 3; ++a) from[a] = placed.axis[a].begin - placed.axis[a].first_cell;
+    for (int z = 0; z < cells; ++z)
+        for (int y = 0; y < cells; ++y)
+            for (int x = 0; x < cells; ++x)
+                visit(std::array<int, 3>{placed.axis[0].first_cell + x, placed.axis[1].first_cell + y,
+                                         placed.axis[2].first_cell + z},
+                      from, piece);
+}
+
+// The cells of a measured brick: for each, the cell of the node it lies in, where in it, and the deviation of
+// the node's field from the brick's at its corners, in units of `scale`.
+template <class Visit>
+void forMeasuredCells(const NodeKey& node, SampleCube<double> node_samples, const MeasuredBrick& part,
+                      BrickShape shape, double scale, Visit&& visit) {
+    const Placement placed = place(node, part.key, shape);
+    const int n = shape.edge_cells, factor = 1 << (node.level - part.key.level);
+    const double inverse = 1 / scale;
+    std::vector<double> deviations((std::size_t(n) + 1) * (std::size_t(n) + 1) * (std::size_t(n) + 1));
+    ExpandedPlanes planes(
+        node_samples.from(std::size_t(placed.axis[0].first_cell), std::size_t(placed.axis[1].first_cell),
+                          std::size_t(placed.axis[2].first_cell)),
+        n, factor);
+    const std::size_t edge = std::size_t(n) + 1;
+    for (std::size_t cell = 0; cell < planes.cells(); ++cell) {
+        const auto [below, above] = planes.between(cell);
+        const bool last = cell + 1 == planes.cells();
+        for (int step = 0; step < factor + (last ? 1 : 0); ++step) {
+            const std::size_t k = cell * std::size_t(factor) + std::size_t(step);
+            for (std::size_t j = 0; j < edge; ++j)
+                for (std::size_t i = 0; i < edge; ++i) {
+                    const double a = below[j * edge + i], b = above[j * edge + i];
+                    const double field = step == factor ? b : a + (b - a) * (double(step) / factor);
+                    deviations[(k * edge + j) * edge + i] = (field - part.samples.at(i, j, k)) * inverse;
+                }
+        }
+    }
+    const double piece = 1.0 / factor;
+    for (int k = 0; k < n; ++k)
+        for (int j = 0; j < n; ++j)
+            for (int i = 0; i < n; ++i) {
+                std::array<double, 8> corners;
+                for (int q = 0; q < 8; ++q)
+                    corners[std::size_t(q)] =
+                        deviations[shape.sampleAt(i + (q & 1), j + (q >> 1 & 1), k + (q >> 2))];
+                const std::array<int, 3> at{i, j, k};
+                std::array<int, 3> cell;
+                std::array<double, 3> from;
+                for (std::size_t a = 0; a < 3; ++a) {
+                    cell[a] = placed.axis[a].first_cell + at[a] / factor;
+                    from[a] = (at[a] % factor) * piece;
+                }
+                visit(cell, from, piece, corners, shape.cellAt(i, j, k));
+            }
+}
+
+// Adds the residual of a piece of a cell of the node to that cell: `moments` and `squares` are of the piece,
+// for the deviation r = level 0 - the node's field, against the piece's own corners.
+void addPiece(const std::array<double, 8>& moments, double squares, double largest,
+              const std::array<double, 3>& from, double piece, CellResidual& out) {
+    for (int corner = 0; corner < 8; ++corner) {
+        // The node's weight of `corner` at the corners of the piece.
+        for (int q = 0; q < 8; ++q) {
+            double weight = 1;
+            for (int a = 0; a < 3; ++a) {
+                const double t = from[std::size_t(a)] + ((q >> a & 1) ? piece : 0);
+                weight *= (corner >> a & 1) ? t : 1 - t;
+            }
+            out.moments[std::size_t(corner)] += weight * moments[std::size_t(q)];
+        }
+    }
+    out.squares += squares;
+    out.largest = std::max(out.largest, largest);
+}
+
+// Whether the node's samples over a part are all the one value: then nothing deviates.
+bool sameValue(SampleCube<double> samples, const NodeKey& node, const NodeKey& part, BrickShape shape,
+               double value) {
+    const Placement placed = place(node, part, shape);
+    const int cells = std::max(1, int(std::ldexp(double(shape.edge_cells), part.level - node.level)));
+    for (int k = 0; k <= cells; ++k)
+        for (int j = 0; j <= cells; ++j)
+            for (int i = 0; i <= cells; ++i)
+                if (samples.at(std::size_t(placed.axis[0].first_cell + i),
+                               std::size_t(placed.axis[1].first_cell + j),
+                               std::size_t(placed.axis[2].first_cell + k)) != value)
+                    return false;
+    return true;
 }
 
 }  // namespace
@@ -59,140 +290,229 @@ DeviationPart::SubBox& DeviationPart::at(int index) {
     return boxes[std::size_t(count++)];
 }
 
+template <class T>
 void addBrickDeviation(const NodeKey& node, std::span<const double> node_samples, const NodeKey& part,
-                       std::span<const double> part_samples, BrickShape shape, double scale,
-                       DeviationPart& out) {
-    const int n = shape.edge_cells, s = shape.edgeSamples();
-    const Placement place_in = place(node, part, shape);
-    std::array<std::vector<Lerp>, 3> lerp;
-    std::array<int, 3> span{};  // node samples needed per axis
-    for (std::size_t a = 0; a < 3; ++a) {
-        lerp[a] = lerps(place_in.axis[a], place_in.step, n, n - 1);
-        span[a] = lerp[a].back().cell + 2;
-    }
-    auto mix = [](double a, double b, double t) { return a + (b - a) * t; };
-
-    // x, then y, then z: each pass reads what the one before interpolated.
-    std::vector<double> x(std::size_t(s * span[1] * span[2]));
-    for (int k = 0; k < span[2]; ++k)
-        for (int j = 0; j < span[1]; ++j) {
-            const double* row = node_samples.data() + shape.sampleAt(place_in.axis[0].first_cell,
-                                                                     place_in.axis[1].first_cell + j,
-                                                                     place_in.axis[2].first_cell + k);
-            double* to = x.data() + std::size_t((k * span[1] + j) * s);
-            for (int i = 0; i < s; ++i) {
-                const Lerp& l = lerp[0][std::size_t(i)];
-                to[i] = mix(row[l.cell], row[l.cell + 1], l.t);
-            }
-        }
-    std::vector<double> y(std::size_t(s * s * span[2]));
-    for (int k = 0; k < span[2]; ++k)
-        for (int j = 0; j < s; ++j) {
-            const Lerp& l = lerp[1][std::size_t(j)];
-            const double* row = x.data() + std::size_t((k * span[1] + l.cell) * s);
-            double* to = y.data() + std::size_t((k * s + j) * s);
-            for (int i = 0; i < s; ++i) to[i] = mix(row[i], row[i + s], l.t);
-        }
-
-    // A sample on the face between two sub-boxes bounds both; it is owned by the one behind it.
+                       SampleCube<T> part_samples, BrickShape shape, double scale, DeviationPart& out) {
+    const int n = shape.edge_cells, factor = 1 << (node.level - part.level);
+    const Placement placed = place(node, part, shape);
+    const SampleCube<double> own = wholeCube(node_samples.data(), std::size_t(shape.edgeSamples()));
+    ExpandedPlanes planes(
+        own.from(std::size_t(placed.axis[0].first_cell), std::size_t(placed.axis[1].first_cell),
+                 std::size_t(placed.axis[2].first_cell)),
+        n, factor);
+    // A brick spans one or more whole sub-boxes per axis, or lies in one. Per pair of runs along y and z the
+    // rows are added up column by column; along x they are told apart at the end.
     const int box_cells = n / kErrorGridEdge;
-    auto boxOf = [&](std::size_t a, int i, bool before) {
-        const Lerp& l = lerp[a][std::size_t(i)];
-        const int cell = place_in.axis[a].first_cell + l.cell;
-        const double u = cell + l.t;
-        int box = cell / box_cells;
-        if (l.t == 1) box = std::min(int(u) / box_cells, kErrorGridEdge - 1);  // the node's far face
-        if (before && u == double(box) * box_cells && i > 0) --box;
-        return std::max(box, 0);
-    };
+    const int runs = std::max(1, int(planes.cells()) / box_cells), span = n / runs;
+    const std::size_t width = std::size_t(n) + 1;
+    std::vector<double> largest(std::size_t(runs * runs) * width), squares(std::size_t(runs * runs) * width);
     const double inverse = 1 / scale;
-    for (int k = 0; k < s; ++k) {
-        const Lerp& lk = lerp[2][std::size_t(k)];
-        const std::array<int, 2> bz{boxOf(2, k, true), boxOf(2, k, false)};
-        for (int j = 0; j < s; ++j) {
-            const std::array<int, 2> by{boxOf(1, j, true), boxOf(1, j, false)};
-            const double* row = y.data() + std::size_t((lk.cell * s + j) * s);
-            const double* source = part_samples.data() + std::size_t((k * s + j) * s);
-            for (int begin = 0; begin < s;) {
-                // A run of samples in one sub-box, closed at both ends for the largest, half-open for the
-                // squares.
-                const int bx = boxOf(0, begin, false);
-                double largest = 0, squares = 0;
-                int i = begin;
-                for (; i < s; ++i) {
-                    const double d = std::abs(mix(row[i], row[i + s * s], lk.t) - source[i]);
-                    largest = std::max(largest, d);
-                    if (i > begin && (i == n || boxOf(0, i, false) != bx)) break;
-                    squares += (d * inverse) * (d * inverse);
-                }
-                for (int zz : {0, 1})
-                    for (int yy : {0, 1}) {
-                        if ((zz && bz[1] == bz[0]) || (yy && by[1] == by[0])) continue;
-                        DeviationPart::SubBox& box =
-                            out.at(gridIndex(bx, by[std::size_t(yy)], bz[std::size_t(zz)]));
-                        box.largest = std::max(box.largest, largest);
-                    }
-                if (j < n && k < n) out.at(gridIndex(bx, by[1], bz[1])).squares += squares;
-                if (i >= n) break;
-                begin = i;
-            }
+    const auto addPlane = [&](int k, int run_z, const double* below, const double* above, double t) {
+        // On the face between two sub-boxes a sample bounds both; it is owned by the one behind it.
+        const bool owned = k < (run_z + 1) * span;
+        for (int run_y = 0; run_y < runs; ++run_y) {
+            const std::size_t at = std::size_t(run_z * runs + run_y) * width, row = std::size_t(run_y * span);
+            bandDeviation(below + row * width, above + row * width, t,
+                          part_samples.rowAt(row, std::size_t(k)), part_samples.row, std::size_t(n),
+                          std::size_t(span), inverse, largest.data() + at,
+                          owned ? squares.data() + at : nullptr);
         }
+    };
+    for (std::size_t cell = 0; cell < planes.cells(); ++cell) {
+        const auto [below, above] = planes.between(cell);
+        for (int step = 0; step < factor; ++step) {
+            const int k = int(cell) * factor + step, run = k / span;
+            const double t = double(step) / factor;
+            if (k % span == 0 && k > 0) addPlane(k, run - 1, below, above, t);
+            addPlane(k, run, below, above, t);
+        }
+        if (cell + 1 == planes.cells()) addPlane(n, runs - 1, above, above, 0);
     }
+
+    const auto boxOf = [&](std::size_t axis, int run) {
+        return (placed.axis[axis].first_cell + run * box_cells) / box_cells;
+    };
+    for (int z = 0; z < runs; ++z)
+        for (int y = 0; y < runs; ++y)
+            for (int x = 0; x < runs; ++x) {
+                const std::size_t at = std::size_t(z * runs + y) * width + std::size_t(x * span);
+                DeviationPart::SubBox& box = out.at(gridIndex(boxOf(0, x), boxOf(1, y), boxOf(2, z)));
+                for (std::size_t i = 0; i <= std::size_t(span); ++i)
+                    box.largest = std::max(box.largest, largest[at + i]);
+                for (std::size_t i = 0; i < std::size_t(span); ++i) box.squares += squares[at + i];
+            }
 }
 
 void addUniformDeviation(const NodeKey& node, std::span<const double> node_samples, const NodeKey& part,
                          double value, BrickShape shape, double scale, DeviationPart& out) {
-    const int n = shape.edge_cells;
-    const Placement place_in = place(node, part, shape);
-    // The part is either whole cells of the node, or lies inside one of them.
-    const double extent = std::ldexp(double(n), part.level - node.level);
-    const int cells = std::max(1, int(extent));
-    const double piece = std::min(1.0, extent);      // in cells of the node
-    const double m = std::ldexp(piece, node.level);  // level-0 samples per axis of a piece
-
-    // Sums over i in [0, m) of the products of the two hat weights (1 - i/m) and i/m.
-    const double s1 = (m - 1) / 2, s2 = (m - 1) * (2 * m - 1) / (6 * m);
-    const double w[2][2] = {{m - 2 * s1 + s2, s1 - s2}, {s1 - s2, s2}};
+    const SampleCube<double> own = wholeCube(node_samples.data(), std::size_t(shape.edgeSamples()));
+    if (sameValue(own, node, part, shape, value)) return;
     const double inverse = 1 / scale;
-    const int box_cells = n / kErrorGridEdge;
-
-    for (int cz = 0; cz < cells; ++cz)
-        for (int cy = 0; cy < cells; ++cy)
-            for (int cx = 0; cx < cells; ++cx) {
-                const std::array<int, 3> cell{place_in.axis[0].first_cell + cx,
-                                              place_in.axis[1].first_cell + cy,
-                                              place_in.axis[2].first_cell + cz};
-                double d[2][2][2];
-                double largest = 0;
-                for (int c = 0; c < 8; ++c) {
-                    std::array<double, 3> t;
-                    for (std::size_t a = 0; a < 3; ++a) {
-                        const double from =
-                            extent < 1 ? place_in.axis[a].begin - place_in.axis[a].first_cell : 0;
-                        t[a] = from + ((c >> a & 1) ? piece : 0);
-                    }
-                    double v = 0;
-                    for (int q = 0; q < 8; ++q) {
-                        const double weight = ((q & 1) ? t[0] : 1 - t[0]) * ((q & 2) ? t[1] : 1 - t[1]) *
-                                              ((q & 4) ? t[2] : 1 - t[2]);
-                        if (weight != 0)
-                            v += weight * node_samples[shape.sampleAt(
-                                              cell[0] + (q & 1), cell[1] + (q >> 1 & 1), cell[2] + (q >> 2))];
-                    }
-                    d[c & 1][c >> 1 & 1][c >> 2] = (v - value) * inverse;
-                    largest = std::max(largest, std::abs(v - value));
-                }
-                double squares = 0;
-                for (int p = 0; p < 8; ++p)
-                    for (int q = 0; q < 8; ++q)
-                        squares += d[p & 1][p >> 1 & 1][p >> 2] * d[q & 1][q >> 1 & 1][q >> 2] *
-                                   w[p & 1][q & 1] * w[p >> 1 & 1][q >> 1 & 1] * w[p >> 2][q >> 2];
-                DeviationPart::SubBox& box =
-                    out.at(gridIndex(cell[0] / box_cells, cell[1] / box_cells, cell[2] / box_cells));
-                box.largest = std::max(box.largest, largest);
-                box.squares += std::max(0.0, squares);
-            }
+    const int box_cells = shape.edge_cells / kErrorGridEdge;
+    const CellProducts products(
+        std::min(node.level, part.level + std::countr_zero(unsigned(shape.edge_cells))));
+    forPieces(node, part, shape,
+              [&](const std::array<int, 3>& cell, const std::array<double, 3>& from, double piece) {
+                  std::array<double, 8> corners, d;
+                  for (int q = 0; q < 8; ++q)
+                      corners[std::size_t(q)] =
+                          own.at(std::size_t(cell[0] + (q & 1)), std::size_t(cell[1] + (q >> 1 & 1)),
+                                 std::size_t(cell[2] + (q >> 2)));
+                  double largest = 0;
+                  for (int q = 0; q < 8; ++q) {
+                      std::array<double, 3> t;
+                      for (std::size_t a = 0; a < 3; ++a) t[a] = from[a] + ((q >> a & 1) ? piece : 0);
+                      const double deviation = between(corners, t) - value;
+                      d[std::size_t(q)] = deviation * inverse;
+                      largest = std::max(largest, std::abs(deviation));
+                  }
+                  DeviationPart::SubBox& box =
+                      out.at(gridIndex(cell[0] / box_cells, cell[1] / box_cells, cell[2] / box_cells));
+                  box.largest = std::max(box.largest, largest);
+                  box.squares += std::max(0.0, dot(d, products.applied(d)));
+              });
 }
+
+template <class T>
+void addBrickResidual(const NodeKey& node, SampleCube<double> node_samples, const NodeKey& part,
+                      SampleCube<T> part_samples, BrickShape shape, double scale,
+                      std::span<CellResidual> out) {
+    const int n = shape.edge_cells, factor = 1 << (node.level - part.level);
+    const Placement placed = place(node, part, shape);
+    ExpandedPlanes planes(
+        node_samples.from(std::size_t(placed.axis[0].first_cell), std::size_t(placed.axis[1].first_cell),
+                          std::size_t(placed.axis[2].first_cell)),
+        n, factor);
+    const int cells = int(planes.cells());
+    const double inverse = 1 / scale;
+    const std::size_t width = std::size_t(n);
+    // Four weighted sums and the squares of each column, for one row of cells along x; reset for the next.
+    std::vector<double> sums(5 * width), row(width + 1), field(width + 1);
+    std::vector<double> largest(width + 1);
+    for (int cz = 0; cz < cells; ++cz) {
+        const auto [below, above] = planes.between(std::size_t(cz));
+        for (int cy = 0; cy < cells; ++cy) {
+            std::fill(sums.begin(), sums.end(), 0.0);
+            std::fill(largest.begin(), largest.end(), 0.0);
+            for (int k = 0; k <= factor; ++k)
+                for (int j = 0; j <= factor; ++j) {
+                    const std::size_t y = std::size_t(cy * factor + j), z = std::size_t(cz * factor + k);
+                    const double ty = double(j) / factor, tz = double(k) / factor;
+                    const double* const a = below + y * (width + 1);
+                    const double* const b = above + y * (width + 1);
+                    mixRows(a, b, tz, width + 1, field.data());
+                    const T* const samples = part_samples.rowAt(y, z);
+                    for (std::size_t i = 0; i <= width; ++i) {
+                        row[i] = (double(samples[i]) - field[i]) * inverse;
+                        largest[i] = std::max(largest[i], std::abs(row[i]));
+                    }
+                    if (j == factor || k == factor) continue;
+                    const double weights[4] = {(1 - ty) * (1 - tz), ty * (1 - tz), (1 - ty) * tz, ty * tz};
+                    addResidualRow(row.data(), width, weights, sums.data(), sums.data() + 4 * width);
+                }
+            for (int cx = 0; cx < cells; ++cx) {
+                CellResidual& cell =
+                    out[shape.cellAt(placed.axis[0].first_cell + cx, placed.axis[1].first_cell + cy,
+                                     placed.axis[2].first_cell + cz)];
+                for (int i = 0; i < factor; ++i) {
+                    const std::size_t at = std::size_t(cx * factor + i);
+                    const double t = double(i) / factor;
+                    for (std::size_t yz = 0; yz < 4; ++yz) {
+                        cell.moments[2 * yz] += (1 - t) * sums[yz * width + at];
+                        cell.moments[2 * yz + 1] += t * sums[yz * width + at];
+                    }
+                    cell.squares += sums[4 * width + at];
+                }
+                for (int i = 0; i <= factor; ++i)
+                    cell.largest = std::max(cell.largest, largest[std::size_t(cx * factor + i)]);
+            }
+        }
+    }
+}
+
+void addMeasuredDeviation(const NodeKey& node, std::span<const double> node_samples,
+                          const MeasuredBrick& part, BrickShape shape, double scale, DeviationPart& out) {
+    const CellProducts products(part.key.level);
+    const int box_cells = shape.edge_cells / kErrorGridEdge;
+    const SampleCube<double> own = wholeCube(node_samples.data(), std::size_t(shape.edgeSamples()));
+    forMeasuredCells(node, own, part, shape, scale,
+                     [&](const std::array<int, 3>& cell, const std::array<double, 3>&, double,
+                         const std::array<double, 8>& d, std::size_t index) {
+                         static const CellResidual kNone;
+                         const CellResidual& r = part.residual.empty() ? kNone : part.residual[index];
+                         double largest = 0;
+                         for (double corner : d) largest = std::max(largest, std::abs(corner));
+                         DeviationPart::SubBox& box =
+                             out.at(gridIndex(cell[0] / box_cells, cell[1] / box_cells, cell[2] / box_cells));
+                         box.largest = std::max(box.largest, (largest + r.largest) * scale);
+                         // |d - r|^2 over the cell's samples.
+                         box.squares +=
+                             std::max(0.0, dot(d, products.applied(d)) - 2 * dot(d, r.moments) + r.squares);
+                     });
+}
+
+void addMeasuredResidual(const NodeKey& node, SampleCube<double> node_samples, const MeasuredBrick& part,
+                         BrickShape shape, double scale, std::span<CellResidual> out) {
+    const CellProducts products(part.key.level);
+    forMeasuredCells(node, node_samples, part, shape, scale,
+                     [&](const std::array<int, 3>& cell, const std::array<double, 3>& from, double piece,
+                         const std::array<double, 8>& d, std::size_t index) {
+                         static const CellResidual kNone;
+                         const CellResidual& r = part.residual.empty() ? kNone : part.residual[index];
+                         // Level 0 less the node's field is r - d.
+                         const std::array<double, 8> applied = products.applied(d);
+                         std::array<double, 8> moments;
+                         double largest = 0;
+                         for (std::size_t q = 0; q < 8; ++q) {
+                             moments[q] = r.moments[q] - applied[q];
+                             largest = std::max(largest, std::abs(d[q]));
+                         }
+                         const double squares =
+                             std::max(0.0, r.squares - 2 * dot(d, r.moments) + dot(d, applied));
+                         addPiece(moments, squares, largest + r.largest, from, piece,
+                                  out[shape.cellAt(cell[0], cell[1], cell[2])]);
+                     });
+}
+
+void addUniformResidual(const NodeKey& node, SampleCube<double> node_samples, const NodeKey& part,
+                        double value, BrickShape shape, double scale, std::span<CellResidual> out) {
+    if (sameValue(node_samples, node, part, shape, value)) return;
+    const double inverse = 1 / scale;
+    const CellProducts products(
+        std::min(node.level, part.level + std::countr_zero(unsigned(shape.edge_cells))));
+    forPieces(node, part, shape,
+              [&](const std::array<int, 3>& cell, const std::array<double, 3>& from, double piece) {
+                  std::array<double, 8> corners, d;
+                  for (int q = 0; q < 8; ++q)
+                      corners[std::size_t(q)] =
+                          node_samples.at(std::size_t(cell[0] + (q & 1)), std::size_t(cell[1] + (q >> 1 & 1)),
+                                          std::size_t(cell[2] + (q >> 2)));
+                  double largest = 0;
+                  for (int q = 0; q < 8; ++q) {
+                      std::array<double, 3> t;
+                      for (std::size_t a = 0; a < 3; ++a) t[a] = from[a] + ((q >> a & 1) ? piece : 0);
+                      d[std::size_t(q)] = (between(corners, t) - value) * inverse;
+                      largest = std::max(largest, std::abs(d[std::size_t(q)]));
+                  }
+                  const std::array<double, 8> applied = products.applied(d);
+                  std::array<double, 8> moments;
+                  for (std::size_t q = 0; q < 8; ++q) moments[q] = -applied[q];
+                  addPiece(moments, std::max(0.0, dot(d, applied)), largest, from, piece,
+                           out[shape.cellAt(cell[0], cell[1], cell[2])]);
+              });
+}
+
+#define BRICKYARD_INSTANTIATE(T)                                                                         \
+    template void addBrickDeviation<T>(const NodeKey&, std::span<const double>, const NodeKey&,          \
+                                       SampleCube<T>, BrickShape, double, DeviationPart&);               \
+    template void addBrickResidual<T>(const NodeKey&, SampleCube<double>, const NodeKey&, SampleCube<T>, \
+                                      BrickShape, double, std::span<CellResidual>);
+BRICKYARD_INSTANTIATE(float)
+BRICKYARD_INSTANTIATE(double)
+BRICKYARD_INSTANTIATE(std::int32_t)
+BRICKYARD_INSTANTIATE(std::int64_t)
+BRICKYARD_INSTANTIATE(std::uint8_t)
+#undef BRICKYARD_INSTANTIATE
 
 void NodeDeviation::merge(const DeviationPart& part) {
     for (int i = 0; i < part.count; ++i) {

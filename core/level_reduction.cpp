@@ -1,58 +1,129 @@
 #include "core/level_reduction.h"
 
 #include <cmath>
-#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+#include <vector>
+
+#include "core/vector_clones.h"
 
 namespace brickyard {
 
-std::vector<double> reduceLevel(std::span<const double> fine, int edge_cells) {
-    const std::size_t f = std::size_t(2 * edge_cells + 3), c = std::size_t(edge_cells + 1);
-    auto weighted = [](double a, double b, double d) { return 0.25 * a + 0.5 * b + 0.25 * d; };
+namespace {
 
-    // One axis after the other; each halves what the next has to read.
-    std::vector<double> x(c * f * f);
-    for (std::size_t row = 0; row < f * f; ++row)
-        for (std::size_t i = 0; i < c; ++i) {
-            const double* in = fine.data() + row * f + 2 * i;
-            x[row * c + i] = weighted(in[0], in[1], in[2]);
-        }
-    std::vector<double> y(c * c * f);
-    for (std::size_t k = 0; k < f; ++k)
-        for (std::size_t j = 0; j < c; ++j)
-            for (std::size_t i = 0; i < c; ++i) {
-                const double* in = x.data() + (k * f + 2 * j) * c + i;
-                y[(k * c + j) * c + i] = weighted(in[0], in[c], in[2 * c]);
-            }
-    std::vector<double> z(c * c * c);
-    for (std::size_t k = 0; k < c; ++k)
-        for (std::size_t i = 0; i < c * c; ++i) {
-            const double* in = y.data() + 2 * k * c * c + i;
-            z[k * c * c + i] = weighted(in[0], in[c * c], in[2 * c * c]);
-        }
-    return z;
+// Loops over plain arrays, written so that a compiler turns them into vectors.
+BRICKYARD_VECTOR_CLONES
+void weightRows(const double* a, const double* b, const double* c, std::size_t n, double* out) {
+    for (std::size_t i = 0; i < n; ++i) out[i] = 0.25 * a[i] + 0.5 * b[i] + 0.25 * c[i];
 }
 
-double reductionRms(std::span<const double> fine, std::span<const double> coarse, int edge_cells,
-                    double scale) {
-    const std::size_t f = std::size_t(2 * edge_cells + 3), c = std::size_t(edge_cells + 1),
-                      n = std::size_t(2 * edge_cells + 1);
+BRICKYARD_VECTOR_CLONES
+void weightFloatRows(const float* a, const float* b, const float* c, std::size_t n, double* out) {
+    for (std::size_t i = 0; i < n; ++i)
+        out[i] = 0.25 * double(a[i]) + 0.5 * double(b[i]) + 0.25 * double(c[i]);
+}
+
+BRICKYARD_VECTOR_CLONES
+void weightPairs(const double* in, std::size_t n, double* out) {
+    for (std::size_t i = 0; i < n; ++i)
+        out[i] = 0.25 * in[2 * i] + 0.5 * in[2 * i + 1] + 0.25 * in[2 * i + 2];
+}
+
+template <class T>
+void weightTypedRows(const T* a, const T* b, const T* c, std::size_t n, double* out) {
+    if constexpr (std::is_same_v<T, float>)
+        weightFloatRows(a, b, c, n, out);
+    else if constexpr (std::is_same_v<T, double>)
+        weightRows(a, b, c, n, out);
+    else
+        for (std::size_t i = 0; i < n; ++i)
+            out[i] = 0.25 * double(a[i]) + 0.5 * double(b[i]) + 0.25 * double(c[i]);
+}
+
+// The deviations of one row of 2n + 1 fine samples from a coarse row of n + 1, squared and summed.
+#define BRICKYARD_ROW_SQUARES(T)                                                                      \
+    BRICKYARD_VECTOR_CLONES                                                                           \
+    double squaresOf(const T* fine, const double* coarse, std::size_t n, double inverse) {            \
+        /* Eight sums that do not depend on each other. */                                            \
+        constexpr std::size_t kLanes = 4;                                                             \
+        double even[kLanes]{}, odd[kLanes]{};                                                         \
+        std::size_t i = 0;                                                                            \
+        for (; i + kLanes <= n; i += kLanes)                                                          \
+            for (std::size_t k = 0; k < kLanes; ++k) {                                                \
+                const double d = (coarse[i + k] - double(fine[2 * (i + k)])) * inverse;               \
+                const double e =                                                                      \
+                    (0.5 * coarse[i + k] + 0.5 * coarse[i + k + 1] - double(fine[2 * (i + k) + 1])) * \
+                    inverse;                                                                          \
+                even[k] += d * d;                                                                     \
+                odd[k] += e * e;                                                                      \
+            }                                                                                         \
+        const double last = (coarse[n] - double(fine[2 * n])) * inverse;                              \
+        double sum = last * last;                                                                     \
+        for (std::size_t k = 0; k < kLanes; ++k) sum += even[k] + odd[k];                             \
+        return sum;                                                                                   \
+    }
+BRICKYARD_ROW_SQUARES(float)
+BRICKYARD_ROW_SQUARES(double)
+BRICKYARD_ROW_SQUARES(std::int32_t)
+BRICKYARD_ROW_SQUARES(std::int64_t)
+BRICKYARD_ROW_SQUARES(std::uint8_t)
+#undef BRICKYARD_ROW_SQUARES
+
+}  // namespace
+
+template <class T>
+void reduceLevel(const T* fine, std::size_t c, double* coarse) {
+    const std::size_t f = 2 * c + 1;
+    // y first, because rows are read as they lie; then x; then z, over three planes that are kept.
+    thread_local std::vector<double> scratch;
+    scratch.resize(f + 3 * c * c);
+    double* const row = scratch.data();
+    const auto planeAt = [&](std::size_t k) { return scratch.data() + f + k % 3 * c * c; };
+    for (std::size_t k = 0; k < f; ++k) {
+        double* const plane = planeAt(k);
+        for (std::size_t j = 0; j < c; ++j) {
+            const T* const in = fine + (k * f + 2 * j) * f;
+            weightTypedRows(in, in + f, in + 2 * f, f, row);
+            weightPairs(row, c, plane + j * c);
+        }
+        if (k >= 2 && k % 2 == 0)
+            weightRows(planeAt(k - 2), planeAt(k - 1), plane, c * c, coarse + (k / 2 - 1) * c * c);
+    }
+}
+
+template <class T>
+double reductionRms(SampleCube<T> fine, SampleCube<double> coarse, int edge_cells, double scale) {
+    const std::size_t c = std::size_t(edge_cells), n = 2 * c + 1;
     const double inverse = 1 / scale;
+    thread_local std::vector<double> middle;
+    middle.resize(c + 1);
     double sum = 0;
     for (std::size_t k = 0; k < n; ++k)
-        for (std::size_t j = 0; j < n; ++j)
-            for (std::size_t i = 0; i < n; ++i) {
-                // At a half-way position the neighbours average; at a lattice position both are the same
-                // sample.
-                double value = 0;
-                for (std::size_t corner = 0; corner < 8; ++corner) {
-                    const std::size_t ci = (i + (corner & 1)) / 2, cj = (j + (corner >> 1 & 1)) / 2;
-                    const std::size_t ck = (k + (corner >> 2)) / 2;
-                    value += 0.125 * coarse[(ck * c + cj) * c + ci];
-                }
-                const double d = (value - fine[((k + 1) * f + j + 1) * f + i + 1]) * inverse;
-                sum += d * d;
+        for (std::size_t j = 0; j < n; ++j) {
+            // At a half-way position the neighbours average; at a lattice position both are the same sample.
+            const double* row = coarse.rowAt(j / 2, k / 2);
+            if (j % 2 != 0 || k % 2 != 0) {
+                const double* const a = row;
+                const double* const b = coarse.rowAt((j + 1) / 2, k / 2);
+                const double* const p = coarse.rowAt(j / 2, (k + 1) / 2);
+                const double* const q = coarse.rowAt((j + 1) / 2, (k + 1) / 2);
+                for (std::size_t i = 0; i <= c; ++i)
+                    middle[i] = 0.25 * a[i] + 0.25 * b[i] + 0.25 * p[i] + 0.25 * q[i];
+                row = middle.data();
             }
+            sum += squaresOf(fine.rowAt(j, k), row, c, inverse);
+        }
     return scale * std::sqrt(sum / double(n * n * n));
 }
+
+#define BRICKYARD_INSTANTIATE(T)                                  \
+    template void reduceLevel<T>(const T*, std::size_t, double*); \
+    template double reductionRms<T>(SampleCube<T>, SampleCube<double>, int, double);
+BRICKYARD_INSTANTIATE(float)
+BRICKYARD_INSTANTIATE(double)
+BRICKYARD_INSTANTIATE(std::int32_t)
+BRICKYARD_INSTANTIATE(std::int64_t)
+BRICKYARD_INSTANTIATE(std::uint8_t)
+#undef BRICKYARD_INSTANTIATE
 
 }  // namespace brickyard

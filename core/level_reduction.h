@@ -1,20 +1,22 @@
-// One step of the level pyramid: full weighting, (1/4, 1/2, 1/4) per axis, which keeps the integral of the
-// field and so the optical depth through it. Pure functions, any thread.
+// One level from the level below: full weighting (1/4, 1/2, 1/4 per axis), which keeps the integral and so
+// optical depth (Briggs, Henson, McCormick, A Multigrid Tutorial, 2000). Pure functions, any thread.
 #pragma once
 
-#include <span>
-#include <vector>
+#include <cstddef>
+
+#include "core/sample_cube.h"
 
 namespace brickyard {
 
-// `fine` has (2N + 3)^3 samples, x fastest, of the level below: from one before the node's first sample to
-// one behind its last. Gives the node's (N + 1)^3 samples. Two nodes that share a face get the same bits on
-// it.
-std::vector<double> reduceLevel(std::span<const double> fine, int edge_cells);
+// `coarse` gets coarse_edge^3 samples, x fastest, of `fine`, which has (2 coarse_edge + 1)^3: one more on
+// every side than lie under the coarse ones. A coarse sample depends on the 27 around it alone: whoever
+// computes it gets the same bits. T: float, double, std::int32_t, std::int64_t, std::uint8_t.
+template <class T>
+void reduceLevel(const T* fine, std::size_t coarse_edge, double* coarse);
 
-// Root mean square of what the step loses: the (N + 1)^3 samples `coarse`, interpolated, less `fine` (as
-// above) over the node's closed region.
-double reductionRms(std::span<const double> fine, std::span<const double> coarse, int edge_cells,
-                    double scale);
+// Root mean square of what the step loses over a node's closed region: the (N + 1)^3 samples `coarse`,
+// interpolated, less the (2N + 1)^3 samples `fine`. `scale` keeps squares in range.
+template <class T>
+double reductionRms(SampleCube<T> fine, SampleCube<double> coarse, int edge_cells, double scale);
 
 }  // namespace brickyard

@@ -1,5 +1,5 @@
-// Which nodes a channel's octree has, before any brick is read: the field's regions of one value from the top
-// down. Immutable once made: any thread.
+// Which parts of index space a channel's octree is built over, before any sample is read: chunks that have to
+// be looked into, and larger regions of one value. Immutable once made: any thread.
 #pragma once
 
 #include <cstdint>
@@ -9,40 +9,35 @@
 #include "core/brick_shape.h"
 #include "core/field_source.h"
 #include "core/node_key.h"
+#include "core/result.h"
 
 namespace brickyard {
 
-enum class PlannedKind : std::uint8_t {
-    kInner,    // values differ; has children
-    kBrick,    // level 0, values differ
-    kUniform,  // one value and one state in the closed region; no children, no brick
-};
-
-struct PlannedNode {
-    NodeKey key;
-    PlannedKind kind = PlannedKind::kInner;
-    std::uint8_t valid_mask = 0;  // children that exist; where one does not, the field is inactive background
-    UniformRegion uniform;        // kUniform only
-};
+// A chunk is a node with three levels of nodes below it (two with 32 cells a brick, one with 64), 128 voxels
+// an edge or less: what is read, reduced, measured and encoded as one piece of work. The same count of levels
+// lies between a chunk of a higher tier and the nodes that it is made of.
+int chunkSteps(BrickShape shape);
 
 class OctreePlan {
 public:
-    // Asks `field` about boxes from all of int32 down to single bricks. The roots are one node, or up to
-    // eight that meet at the origin (floor division never brings -1 and 0 together).
-    static OctreePlan make(const FieldSource& field, BrickShape shape);
+    // Asks `field` about boxes from all of int32 down to single chunks. Errors: kInvalid (a region of one
+    // value that is not finite).
+    static Result<OctreePlan> make(const FieldSource& field, BrickShape shape);
 
-    // By level, each in Morton order; empty when the whole field is inactive background.
-    const std::vector<std::vector<PlannedNode>>& levels() const { return levels_; }
-    // nullptr where there is no such node: background, or inside a uniform node of a higher level.
-    const PlannedNode* find(const NodeKey& key) const;
-    // Index in levels()[key.level]. REQUIRES: find(key).
-    std::size_t indexOf(const NodeKey& key) const;
-    // The node or the nearest node above it that exists, or nullptr.
-    const PlannedNode* findOrAbove(NodeKey key) const;
+    // Nodes of level chunkSteps() whose values differ or are not known yet; by rows (x fastest) or in Morton
+    // order, as the field prefers.
+    const std::vector<NodeKey>& chunks() const { return chunks_; }
+    // Regions of one value and state that are not inactive background, of level chunkSteps() and above. None
+    // lies in another.
+    const std::vector<std::pair<NodeKey, UniformRegion>>& uniform() const { return uniform_; }
+    // The region that is or holds `key`, or nullptr.
+    const UniformRegion* uniformAt(NodeKey key) const;
 
 private:
-    std::vector<std::vector<PlannedNode>> levels_;
-    std::vector<std::unordered_map<NodeKey, std::uint32_t, NodeKeyHash>> index_;
+    std::vector<NodeKey> chunks_;
+    std::vector<std::pair<NodeKey, UniformRegion>> uniform_;
+    std::unordered_map<NodeKey, std::uint32_t, NodeKeyHash> index_;  // of uniform_
+    int highest_uniform_ = 0;
 };
 
 // Samples of a node's closed region [k, k + N] * 2^level, faces included, as a half-open box of level-0

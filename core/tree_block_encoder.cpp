@@ -17,7 +17,8 @@ using CutParents = std::unordered_set<const TreeNode*>;
 
 // Nodes below `node` that stay in its block. The depth is that of the octree: at most kMaxLevel.
 std::size_t cutBelow(const TreeNode& node, CutParents& cut) {
-    std::size_t nodes = 0;
+    std::size_t nodes = node.children.empty() ? node.unloaded : 0;
+    assert(nodes < kBlockTargetNodes);
     for (const auto& child : node.children) nodes += 1 + cutBelow(*child, cut);
     if (nodes < kBlockTargetNodes) return nodes;
     cut.insert(&node);
@@ -37,9 +38,18 @@ public:
 
     // `next_block` is the number of the first block that no other one refers to yet; each parent cut here
     // takes one and is appended to `parents`.
-    std::vector<std::byte> raw(const CutParents& cut, std::uint32_t next_block,
-                               std::vector<const TreeNode*>& parents) {
-        for (std::size_t i = 0; i < nodes_.size(); ++i) addNode(i, cut, next_block, parents);
+    Result<std::vector<std::byte>> raw(const CutParents& cut, std::uint32_t next_block,
+                                       std::vector<const TreeNode*>& parents, const TreeLoader& load) {
+        std::vector<TreeNode*> loaded;
+        for (std::size_t i = 0; i < nodes_.size(); ++i) {
+            if (nodes_[i]->unloaded > 0 && nodes_[i]->children.empty()) {
+                if (Result<void> done = load(*nodes_[i]); !done) return tl::unexpected(done.error());
+                loaded.push_back(nodes_[i]);
+            }
+            addNode(i, cut, next_block, parents);
+        }
+        // What lies below a stub is in this block, and only there.
+        for (TreeNode* stub : loaded) stub->children.clear();
         return bytes();
     }
 
@@ -145,7 +155,7 @@ private:
 
     int components_;
     std::size_t head_nodes_;
-    std::vector<const TreeNode*> nodes_;
+    std::vector<TreeNode*> nodes_;
     std::vector<std::uint32_t> descriptors_, far_, payload_bytes_, constant_, draft_bytes_;
     std::vector<std::uint8_t> flags_;
     std::array<std::vector<std::uint8_t>, 6> box_;
@@ -159,12 +169,10 @@ private:
 
 }  // namespace
 
-std::vector<std::vector<std::byte>> encodeTree(const std::vector<std::unique_ptr<TreeNode>>& roots,
-                                               int components, std::vector<std::uint32_t>& raw_bytes) {
+Result<void> encodeTree(const std::vector<std::unique_ptr<TreeNode>>& roots, int components,
+                        const TreeLoader& load, const BlockSink& sink) {
     assert(roots.size() <= 8 && components >= 1 && components <= 3);
-    raw_bytes.clear();
-    std::vector<std::vector<std::byte>> stored;
-    if (roots.empty()) return stored;
+    if (roots.empty()) return {};
 
     CutParents cut;
     for (const auto& root : roots) cutBelow(*root, cut);
@@ -172,13 +180,31 @@ std::vector<std::vector<std::byte>> encodeTree(const std::vector<std::unique_ptr
     // Blocks breadth-first as well: one that is referred to stands behind the one that refers, and the top
     // ones, which every picture needs, stand together. parents[b - 1] is the parent of the heads of block b.
     std::vector<const TreeNode*> parents;
+    std::vector<std::byte> stored;
     for (std::size_t b = 0; b <= parents.size(); ++b) {
         BlockWriter writer(b == 0 ? roots : parents[b - 1]->children, components);
-        const std::vector<std::byte> raw = writer.raw(cut, std::uint32_t(parents.size() + 1), parents);
-        raw_bytes.push_back(std::uint32_t(raw.size()));
-        appendZstdFrame(raw, stored.emplace_back());
+        const auto raw = writer.raw(cut, std::uint32_t(parents.size() + 1), parents, load);
+        if (!raw) return tl::unexpected(raw.error());
+        stored.clear();
+        appendZstdFrame(*raw, stored);
+        if (Result<void> taken = sink(stored, std::uint32_t(raw->size())); !taken) return taken;
     }
-    return stored;
+    return {};
+}
+
+std::vector<std::vector<std::byte>> encodeTree(const std::vector<std::unique_ptr<TreeNode>>& roots,
+                                               int components, std::vector<std::uint32_t>& raw_bytes) {
+    raw_bytes.clear();
+    std::vector<std::vector<std::byte>> blocks;
+    const auto encoded = encodeTree(
+        roots, components, [](TreeNode&) -> Result<void> { return {}; },
+        [&](std::span<const std::byte> stored, std::uint32_t raw) -> Result<void> {
+            blocks.emplace_back(stored.begin(), stored.end());
+            raw_bytes.push_back(raw);
+            return {};
+        });
+    assert(encoded && "nothing here can fail");
+    return blocks;
 }
 
 }  // namespace brickyard
