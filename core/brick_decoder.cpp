@@ -14,6 +14,7 @@
 #include "core/payload_format.h"
 #include "core/payload_stream.h"
 #include "core/payload_words.h"
+#include "core/sample_selection.h"
 
 namespace brickyard {
 namespace {
@@ -26,8 +27,10 @@ tl::unexpected<Error> corrupt(const char* what) {
 // words.
 struct Scratch {
     std::vector<std::byte> planes;
-    std::vector<std::byte> words;  // of whichever width the payload has
-    std::vector<std::byte> draft;  // samples
+    std::vector<std::byte> words;      // of whichever width the payload has
+    std::vector<std::byte> draft;      // samples
+    std::vector<std::byte> selected;   // words of selected samples
+    std::vector<std::byte> selection;  // bits; those of a draft stay for the section behind it
 };
 Scratch& scratch() {
     thread_local Scratch kept;
@@ -54,14 +57,31 @@ void mergePlanes(const std::byte* const* planes, std::size_t count, W* __restric
     }
 }
 
+// Reads which samples a section keeps words of, into the scratch. False where that cannot be.
+bool readSelection(const PayloadParts& parts, BrickShape shape) {
+    if (!parts.selects || parts.selects_as_draft) return true;
+    const std::size_t samples = shape.samples(), bytes = selectionBytes(samples);
+    std::vector<std::byte>& kept = scratch().selection;
+    kept.resize(bytes);
+    const std::byte* const read = streamBytes(parts.selection, bytes, kept.data());
+    if (!read) return false;
+    if (read != kept.data()) std::memcpy(kept.data(), read, bytes);
+    // Bits beyond the last sample would select what is not there.
+    if (samples % 8 != 0 && (unsigned(kept.back()) >> (samples % 8)) != 0) return false;
+    return countSelected(kept) > 0;
+}
+
 // All components' words, planar, in the calling thread's scratch; nullptr where a plane is not what it should
 // be.
 template <class W>
 W* readWords(const PayloadParts& parts, BrickShape shape, int components) {
-    const std::size_t count = shape.samples() * std::size_t(components);
+    if (!readSelection(parts, shape)) return nullptr;
     Scratch& kept = scratch();
+    const std::size_t all = shape.samples() * std::size_t(components);
+    const std::size_t count = parts.selects ? countSelected(kept.selection) * std::size_t(components) : all;
     if (kept.planes.size() < count * sizeof(W)) kept.planes.resize(count * sizeof(W));
-    if (kept.words.size() < count * sizeof(W)) kept.words.resize(count * sizeof(W));
+    if (kept.words.size() < all * sizeof(W)) kept.words.resize(all * sizeof(W));
+    if (parts.selects && kept.selected.size() < count * sizeof(W)) kept.selected.resize(count * sizeof(W));
 
     const std::byte* planes[sizeof(W)];
     for (std::size_t j = 0; j < sizeof(W); ++j) {
@@ -69,6 +89,21 @@ W* readWords(const PayloadParts& parts, BrickShape shape, int components) {
         if (!planes[j]) return nullptr;
     }
     W* const words = reinterpret_cast<W*>(kept.words.data());
+    if (parts.selects) {
+        W* const selected = reinterpret_cast<W*>(kept.selected.data());
+        mergePlanes(planes, count, selected);
+        const std::size_t each = count / std::size_t(components);
+        for (std::size_t c = 0; c < std::size_t(components); ++c) {
+            W* const own = selected + c * each;
+            if (parts.predictor == PayloadPredictor::kPrevious) {
+                W sum = 0;
+                for (std::size_t i = 0; i < each; ++i) own[i] = sum = W(sum + unzigzag(own[i]));
+            }
+            scatterSelected(own, shape.samples(), kept.selection, W(parts.filler[c]),
+                            words + c * shape.samples());
+        }
+        return words;
+    }
     mergePlanes(planes, count, words);
     if (parts.predictor == PayloadPredictor::kLorenzo)
         for (int c = 0; c < components; ++c)
@@ -100,8 +135,8 @@ bool wordsAreSound(SampleType type, const W* words, std::size_t count) {
 // Differences to the draft become words. A draft is another predictor.
 template <class T, class W>
 void addDraft(const T* __restrict draft, PayloadPredictor predictor, std::size_t count, W* __restrict words) {
-    // Undoing Lorenzo has undone the zigzag as well.
-    if (predictor == PayloadPredictor::kLorenzo)
+    // Undoing a predictor has undone the zigzag as well.
+    if (predictor != PayloadPredictor::kNone)
         for (std::size_t i = 0; i < count; ++i) words[i] = W(words[i] + orderedFromDraft<W>(draft[i]));
     else
         for (std::size_t i = 0; i < count; ++i)
@@ -116,7 +151,7 @@ Result<void> forEachComponent(const PayloadParts& parts, const T* draft, BrickSh
     const auto run = [&]<class W>(W) -> Result<void> {
         const std::size_t n = shape.samples();
         W* const words = readWords<W>(parts, shape, components);
-        if (!words) return corrupt("has a byte plane of another size than the brick");
+        if (!words) return corrupt("has a byte plane or a selection of another size than the brick");
         if constexpr (std::is_floating_point_v<T> && sizeof(W) > 1 && sizeof(W) <= sizeof(T))
             if (draft) addDraft(draft, parts.predictor, n * std::size_t(components), words);
         if (parts.encoding == PayloadEncoding::kLossless &&

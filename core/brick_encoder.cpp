@@ -16,6 +16,7 @@
 #include "core/payload_format.h"
 #include "core/payload_stream.h"
 #include "core/payload_words.h"
+#include "core/section_packing.h"
 
 namespace brickyard {
 namespace {
@@ -27,68 +28,14 @@ constexpr std::size_t kSectionHeaderBytes = 5;
 // (docs/decisions/0003-drafts.md).
 constexpr double kMostDraftShare = 0.5;
 constexpr double kMostGrowth = 1.18;
-
-// A section of a payload but for its states.
-struct Candidate {
-    PayloadEncoding encoding = PayloadEncoding::kConstant;
-    PayloadPredictor predictor = PayloadPredictor::kNone;
-    std::size_t width = 0;
-    std::vector<std::byte> parameters;
-    std::array<std::uint32_t, kMaxWordBytes> entries{};
-    std::vector<std::byte> streams;
-    double error_made = 0;
-    std::vector<std::byte> decoded;  // where it differs from what was given
-
-    std::size_t bytes() const { return parameters.size() + width * sizeof(std::uint32_t) + streams.size(); }
-};
+// A section of so few bytes is mostly its headers.
+constexpr std::size_t kLittle = 512;
 
 // What a brick becomes: `exact` holds corrections to the draft where there is one.
 struct Sections {
-    std::optional<Candidate> draft;
-    Candidate exact;
+    std::optional<PackedSection> draft;
+    PackedSection exact;
 };
-
-template <class W>
-void appendPlanes(const std::vector<W>& words, Candidate& candidate) {
-    thread_local std::vector<std::byte> plane;
-    plane.resize(words.size());
-    for (std::size_t j = 0; j < sizeof(W); ++j) {
-        for (std::size_t i = 0; i < words.size(); ++i)
-            plane[i] = std::byte(std::uint8_t(words[i] >> (8 * j)));
-        candidate.entries[j] = appendStream(plane, candidate.streams);
-    }
-}
-
-// Stores `words` (planar, all components) as they are.
-template <class W>
-Candidate packPlain(PayloadEncoding encoding, const std::vector<W>& words) {
-    Candidate plain;
-    plain.encoding = encoding;
-    plain.width = sizeof(W);
-    appendPlanes(words, plain);
-    return plain;
-}
-
-// Stores `words` with Lorenzo.
-template <class W>
-Candidate packPredicted(PayloadEncoding encoding, std::vector<W> words, BrickShape shape, int components) {
-    Candidate predicted;
-    predicted.encoding = encoding;
-    predicted.predictor = PayloadPredictor::kLorenzo;
-    predicted.width = sizeof(W);
-    for (std::size_t c = 0; c < std::size_t(components); ++c)
-        subtractPrediction(words.data() + c * shape.samples(), std::size_t(shape.edgeSamples()));
-    appendPlanes(words, predicted);
-    return predicted;
-}
-
-// Stores `words` with the predictor that makes them smaller.
-template <class W>
-Candidate packWords(PayloadEncoding encoding, std::vector<W> words, BrickShape shape, int components) {
-    Candidate plain = packPlain(encoding, words);
-    Candidate predicted = packPredicted(encoding, std::move(words), shape, components);
-    return predicted.bytes() < plain.bytes() ? predicted : plain;
-}
 
 // Range of one component, and whether it has one.
 template <class T>
@@ -135,8 +82,8 @@ ValueBits bitsOf(T value) {
 }
 
 template <class T>
-Candidate constantCandidate(const std::array<T, kMaxComponents>& value, std::size_t components) {
-    Candidate candidate;
+PackedSection constantPackedSection(const std::array<T, kMaxComponents>& value, std::size_t components) {
+    PackedSection candidate;
     ByteWriter parameters(candidate.parameters);
     for (std::size_t c = 0; c < components; ++c) parameters.put(value[c]);
     return candidate;
@@ -160,32 +107,36 @@ public:
 
     Sections best() const {
         Sections sections;
-        sections.exact = exact();
         if constexpr (std::is_floating_point_v<T>) {
-            if (brick_.draft_error > 0 && brick_.max_error == 0 && finite_ && !one_value_) addDraft(sections);
+            if (brick_.draft_error > 0 && brick_.max_error == 0 && finite_ && !one_value_ &&
+                addDraft(sections))
+                return sections;
         }
+        sections.exact = exact();
         return sections;
     }
 
 private:
-    Candidate exact() const {
+    PackedSection exact() const {
         if (one_value_) {
             std::array<T, kMaxComponents> value{};
             for (std::size_t c = 0; c < components_; ++c) value[c] = values_[c * n_];
-            return constantCandidate(value, components_);
+            return constantPackedSection(value, components_);
         }
         if constexpr (std::is_floating_point_v<T>) {
             // NaN and infinity have no distance to anything: they go through bit for bit.
             if (brick_.max_error > 0 && finite_) {
-                Candidate quantised = approximated(brick_.max_error);
+                PackedSection quantised = approximated(brick_.max_error);
                 if (quantised.parameters.empty()) return lossless();
                 if (quantised.width == 0) return quantised;
                 // Noisy mantissas do not come below half their bytes, so lossless is tried only beside a weak
-                // quantisation, or where the source saved halves.
-                if (quantised.bytes() * 2 > count() * sizeof(T) ||
+                // quantisation, where the source saved halves, or where there is so little to store that
+                // headers count.
+                const std::size_t bytes = quantised.bytes(components_);
+                if (bytes * 2 > count() * sizeof(T) || bytes < kLittle ||
                     (quantised.width > 1 && floatWidth() == 2)) {
-                    Candidate exact = lossless();
-                    if (exact.bytes() <= quantised.bytes()) return exact;
+                    PackedSection exact = lossless();
+                    if (exact.bytes(components_) <= quantised.bytes(components_)) return exact;
                 }
                 return quantised;
             }
@@ -219,49 +170,89 @@ private:
         return 2;
     }
 
-    // A draft and what corrects it, in place of the lossless section that is there, if that pays.
-    void addDraft(Sections& sections) const
+    // A draft and what corrects it, if that pays.
+    bool addDraft(Sections& sections) const
         requires std::is_floating_point_v<T>
     {
-        const auto plain = double(kSectionHeaderBytes + sections.exact.bytes());
-        Candidate draft = approximated(brick_.draft_error);
-        if (draft.parameters.empty()) return;
-        const auto draft_bytes = double(kSectionHeaderBytes + draft.bytes());
-        if (draft_bytes >= kMostDraftShare * plain) return;
-
-        Candidate corrections;
-        switch (sections.exact.width) {
-            case 2: corrections = correctionsAs<std::uint16_t>(draft); break;
-            case 4: corrections = correctionsAs<std::uint32_t>(draft); break;
-            default: corrections = correctionsAs<std::uint64_t>(draft); break;
+        PackedSection draft = approximated(brick_.draft_error, &exactSelection());
+        if (draft.parameters.empty()) return false;
+        switch (floatWidth()) {
+            case 2: return addCorrected<std::uint16_t>(std::move(draft), sections);
+            case 4: return addCorrected<std::uint32_t>(std::move(draft), sections);
+            default: return addCorrected<std::uint64_t>(std::move(draft), sections);
         }
-        if (draft_bytes + double(kSectionHeaderBytes + corrections.bytes()) > kMostGrowth * plain) return;
-        sections.draft = std::move(draft);
-        sections.exact = std::move(corrections);
+    }
+
+    template <class W>
+    bool addCorrected(PackedSection draft, Sections& sections) const
+        requires std::is_floating_point_v<T>
+    {
+        if constexpr (sizeof(W) <= sizeof(T)) {
+            std::vector<W> words = exactWords<W>();
+            const auto draft_bytes = double(kSectionHeaderBytes + draft.bytes(components_));
+            // A draft as large as half of what is stored plainly is none. The estimate is a bound of it from
+            // below.
+            const Selection& selection = exactSelection();
+            const double plain =
+                double(kSectionHeaderBytes) +
+                (selection.any() ? estimatedBytes(selectedWords(words, selection, components_))
+                                 : estimatedBytes(words));
+            if (draft_bytes >= kMostDraftShare * plain) return false;
+            PackedSection corrections = correctionsOf(std::move(words), draft);
+            const auto whole = draft_bytes + double(kSectionHeaderBytes + corrections.bytes(components_));
+            if (whole > kMostGrowth * plain) {
+                // The estimate does not know of predictors that fit better, or worse, than none.
+                sections.exact = losslessAs<W>();
+                if (whole > kMostGrowth * double(kSectionHeaderBytes + sections.exact.bytes(components_)))
+                    return true;
+            }
+            sections.draft = std::move(draft);
+            sections.exact = std::move(corrections);
+            return true;
+        } else {
+            return false;
+        }
     }
 
     // What the words of the exact samples are beyond those that the draft predicts.
     template <class W>
-    Candidate correctionsAs(const Candidate& draft) const
+    PackedSection correctionsOf(std::vector<W> words, const PackedSection& draft) const
         requires std::is_floating_point_v<T>
     {
-        if constexpr (sizeof(W) <= sizeof(T)) {
-            const T* const predicted = reinterpret_cast<const T*>(draft.decoded.data());
-            std::vector<W> differences = exactWords<W>();
-            for (std::size_t i = 0; i < differences.size(); ++i)
-                differences[i] = W(differences[i] - orderedFromDraft<W>(predicted[i]));
-            std::vector<W> codes(differences.size());
-            for (std::size_t i = 0; i < codes.size(); ++i) codes[i] = zigzag(differences[i]);
-            Candidate plain = packPlain(PayloadEncoding::kLossless, codes);
-            // What a quantiser leaves over is noise, which a predictor only adds up. A draft of one value
-            // leaves all.
-            if (draft.encoding != PayloadEncoding::kConstant) return plain;
-            Candidate smoothed = packPredicted(PayloadEncoding::kLossless, std::move(differences),
-                                               brick_.shape, brick_.components);
-            return smoothed.bytes() < plain.bytes() ? smoothed : plain;
-        } else {
-            return {};
+        const T* const predicted = reinterpret_cast<const T*>(draft.decoded.data());
+        for (std::size_t i = 0; i < words.size(); ++i)
+            words[i] = W(words[i] - orderedFromDraft<W>(predicted[i]));
+        // What a quantiser leaves over is noise, which a predictor only adds up. A draft of one value
+        // leaves all.
+        Packing packing;
+        packing.selection = &exactSelection();
+        packing.as_draft = draft.selects;
+        packing.predict = draft.encoding == PayloadEncoding::kConstant;
+        if (!packing.predict) {
+            for (W& word : words) word = zigzag(word);
+            return packWords(packing, std::move(words), brick_.shape, brick_.components);
         }
+        // With a predictor the differences are zigzagged by it; without, here.
+        PackedSection smoothed = packWords(packing, words, brick_.shape, brick_.components);
+        if (smoothed.predictor != PayloadPredictor::kNone) return smoothed;
+        for (W& word : words) word = zigzag(word);
+        packing.predict = false;
+        return packWords(packing, std::move(words), brick_.shape, brick_.components);
+    }
+
+    // Samples of which a component is not the background, bit for bit.
+    const Selection& exactSelection() const {
+        if (selection_) return *selection_;
+        std::array<T, kMaxComponents> background{};
+        for (std::size_t c = 0; c < components_; ++c)
+            std::memcpy(&background[c], &brick_.background[c], sizeof(T));
+        selection_ = select(n_, [&](std::size_t i) {
+            bool differs = false;
+            for (std::size_t c = 0; c < components_; ++c)
+                differs |= std::memcmp(values_ + c * n_ + i, &background[c], sizeof(T)) != 0;
+            return differs;
+        });
+        return *selection_;
     }
 
     template <class W>
@@ -284,17 +275,18 @@ private:
     }
 
     template <class W>
-    Candidate losslessAs() const {
+    PackedSection losslessAs() const {
         if constexpr (std::is_floating_point_v<T>) {
-            return packWords(PayloadEncoding::kLossless, exactWords<W>(), brick_.shape, brick_.components);
+            return packWords({PayloadEncoding::kLossless, &exactSelection()}, exactWords<W>(), brick_.shape,
+                             brick_.components);
         } else {
             using Unsigned = std::make_unsigned_t<T>;
             std::vector<W> words(count());
             for (std::size_t c = 0; c < components_; ++c)
                 for (std::size_t i = c * n_; i < (c + 1) * n_; ++i)
                     words[i] = W(Unsigned(Unsigned(values_[i]) - offset(c)));
-            Candidate candidate =
-                packWords(PayloadEncoding::kLossless, std::move(words), brick_.shape, brick_.components);
+            PackedSection candidate = packWords({PayloadEncoding::kLossless, &exactSelection()},
+                                                std::move(words), brick_.shape, brick_.components);
             if constexpr (sizeof(T) > 1) {
                 ByteWriter parameters(candidate.parameters);
                 for (std::size_t c = 0; c < components_; ++c) parameters.put(offset(c));
@@ -308,7 +300,7 @@ private:
         return std::make_unsigned_t<T>(sizeof(T) == 1 ? T(0) : ranges_[c].min);
     }
 
-    Candidate lossless() const {
+    PackedSection lossless() const {
         if constexpr (std::is_floating_point_v<T>) {
             switch (floatWidth()) {
                 case 2: return losslessAs<std::uint16_t>();
@@ -328,16 +320,18 @@ private:
     }
 
     // The cheapest section within the error; without parameters where there is none.
-    Candidate approximated(double max_error) const
+    // `selection`: samples to keep, where they are known already; nullptr: those that differ from the
+    // background once they are quantised.
+    PackedSection approximated(double max_error, const Selection* selection = nullptr) const
         requires std::is_floating_point_v<T>
     {
         if (auto near = nearConstant(max_error); !near.parameters.empty()) return near;
-        return quantised(max_error);
+        return quantised(max_error, selection);
     }
 
     // One value within the error of all samples: the background where that will do, else the middle of the
     // range. Without parameters where there is none.
-    Candidate nearConstant(double max_error) const
+    PackedSection nearConstant(double max_error) const
         requires std::is_floating_point_v<T>
     {
         std::array<T, kMaxComponents> value{};
@@ -354,7 +348,7 @@ private:
             if (!(deviation(c, value[c]) <= max_error)) return {};
             error = std::max(error, deviation(c, value[c]));
         }
-        Candidate candidate = constantCandidate(value, components_);
+        PackedSection candidate = constantPackedSection(value, components_);
         candidate.error_made = error;
         candidate.decoded.resize(count() * sizeof(T));
         T* const decoded = reinterpret_cast<T*>(candidate.decoded.data());
@@ -365,7 +359,7 @@ private:
     // Largest deviation is measured, not derived: rounding to the sample's type adds to half a step. The
     // first step leaves room for it. All bricks of a channel try the same steps, so that neighbours mostly
     // share one and agree on the samples they share. Without parameters where no step will do.
-    Candidate quantised(double max_error) const
+    PackedSection quantised(double max_error, const Selection* selection) const
         requires std::is_floating_point_v<T>
     {
         for (const double steps_per_error : {2 - 0x1p-9, 2 - 0x1p-4, 1.5, 1.0}) {
@@ -386,10 +380,10 @@ private:
                 q_max = std::max(q_max, rounded(high) - base[c]);
             }
             if (!fits || q_max > double(0xffffffffu)) continue;
-            Candidate candidate = q_max <= 0xff ? quantisedAs<std::uint8_t>(max_error, step, inverse, base)
-                                  : q_max <= 0xffff
-                                      ? quantisedAs<std::uint16_t>(max_error, step, inverse, base)
-                                      : quantisedAs<std::uint32_t>(max_error, step, inverse, base);
+            PackedSection candidate =
+                q_max <= 0xff     ? quantisedAs<std::uint8_t>(max_error, step, inverse, base, selection)
+                : q_max <= 0xffff ? quantisedAs<std::uint16_t>(max_error, step, inverse, base, selection)
+                                  : quantisedAs<std::uint32_t>(max_error, step, inverse, base, selection);
             if (!candidate.parameters.empty()) return candidate;
         }
         return {};
@@ -401,8 +395,9 @@ private:
 
     // Without parameters where the error is too large or the format forbids the numbers.
     template <class W>
-    Candidate quantisedAs(double max_error, double step, double inverse,
-                          const std::array<double, kMaxComponents>& base) const
+    PackedSection quantisedAs(double max_error, double step, double inverse,
+                              const std::array<double, kMaxComponents>& base,
+                              const Selection* selection) const
         requires std::is_floating_point_v<T>
     {
         for (std::size_t c = 0; c < components_; ++c)
@@ -423,8 +418,22 @@ private:
         }
         if (!(error <= max_error)) return {};
 
-        Candidate candidate =
-            packWords(PayloadEncoding::kQuantised, std::move(words), brick_.shape, brick_.components);
+        Selection own;
+        if (!selection) {
+            // No word is the background's where that is not within the brick's range.
+            std::array<double, kMaxComponents> background{};
+            for (std::size_t c = 0; c < components_; ++c)
+                background[c] = rounded(toDouble(brick_.type, brick_.background[c]) * inverse) - base[c];
+            own = select(n_, [&](std::size_t i) {
+                bool differs = false;
+                for (std::size_t c = 0; c < components_; ++c)
+                    differs |= double(words[c * n_ + i]) != background[c];
+                return differs;
+            });
+            selection = &own;
+        }
+        PackedSection candidate = packWords({PayloadEncoding::kQuantised, selection}, std::move(words),
+                                            brick_.shape, brick_.components);
         ByteWriter parameters(candidate.parameters);
         parameters.put(step);
         for (std::size_t c = 0; c < components_; ++c) parameters.put(std::int64_t(base[c]));
@@ -453,6 +462,7 @@ private:
     std::array<Range<T>, kMaxComponents> ranges_{};
     bool finite_ = true;
     bool one_value_ = true;
+    mutable std::optional<Selection> selection_;
 };
 
 Sections bestSections(const BrickToEncode& brick) {
@@ -526,16 +536,23 @@ double rmsDeviation(const BrickToEncode& brick, std::span<const std::byte> decod
 }
 
 // `mask_entry` is that of the mask at the end of the section's streams, if the states need one.
-void appendSection(const Candidate& section, std::uint8_t flags, PayloadActivity activity,
+void appendSection(const PackedSection& section, int components, std::uint8_t flags, PayloadActivity activity,
                    std::uint32_t mask_entry, std::vector<std::byte>& out) {
     ByteWriter writer(out);
     writer.put(kPayloadVersion);
+    if (section.selects) flags |= kSelectionFlag;
+    if (section.selects_as_draft) flags |= kDraftSelectionFlag;
     writer.put(std::uint8_t(std::uint8_t(section.encoding) | flags));
     writer.put(std::uint8_t(section.width));
     writer.put(section.predictor);
     writer.put(activity);
     writer.putBytes(section.parameters);
+    if (section.selects)
+        for (std::size_t c = 0; c < std::size_t(components); ++c)
+            for (std::size_t j = 0; j < section.width; ++j)
+                writer.put(std::uint8_t(section.filler[c] >> (8 * j)));
     for (std::size_t j = 0; j < section.width; ++j) writer.put(section.entries[j]);
+    if (section.selects && !section.selects_as_draft) writer.put(section.selection_entry);
     if (activity == PayloadActivity::kMask) writer.put(mask_entry);
     writer.putBytes(section.streams);
 }
@@ -568,15 +585,16 @@ EncodedBrick encodeBrick(const BrickToEncode& given) {
     EncodedBrick encoded;
     encoded.error_made = exact.error_made;
     if (exact.error_made > 0) encoded.rms_made = rmsDeviation(brick, exact.decoded, exact.error_made);
-    encoded.payload.reserve(32 + exact.bytes() + (draft ? draft->bytes() : 0));
+    const auto components = std::size_t(brick.components);
+    encoded.payload.reserve(32 + exact.bytes(components) + (draft ? draft->bytes(components) : 0));
     if (draft) {
-        appendSection(*draft, kDraftFlag, PayloadActivity::kNotKept, 0, encoded.payload);
+        appendSection(*draft, brick.components, kDraftFlag, PayloadActivity::kNotKept, 0, encoded.payload);
         encoded.draft_bytes = encoded.payload.size();
         encoded.draft_error_made = draft->error_made;
         if (draft->error_made > 0)
             encoded.draft_rms_made = rmsDeviation(brick, draft->decoded, draft->error_made);
     }
-    appendSection(exact, 0, activity, mask_entry, encoded.payload);
+    appendSection(exact, brick.components, 0, activity, mask_entry, encoded.payload);
     return encoded;
 }
 

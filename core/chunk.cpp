@@ -394,21 +394,21 @@ void Chunk::encodeCoarse(std::size_t index) {
 
     const SampleType stored = levelType(settings_.info().type, root_.level - steps_ + depth);
     const std::vector<std::byte> values = doublesToSamples(stored, samples);
-    // Levels above 0 keep no states, so the background tells the codec nothing.
-    const std::vector<ValueBits> no_background(settings_.components(), 0);
+    std::vector<ValueBits> background;
+    for (double value : settings_.background) background.push_back(fromDouble(stored, value));
     BrickToEncode brick;
     brick.shape = shape;
     brick.type = stored;
     brick.components = int(settings_.components());
     brick.values = values;
-    brick.background = no_background;
+    brick.background = background;
     brick.max_error = std::max(kCoarseQuantisation * step_rms, kCoarseShareOfError * settings_.max_error);
     if (!std::isfinite(brick.max_error)) brick.max_error = 0;
     node.payload = encodeBrick(brick).payload;
 
     // Bounds are measured on what a reader will decode, not on what was meant.
     const Result<DecodedBrick> decoded =
-        decodeBrick(node.payload, shape, stored, brick.components, no_background);
+        decodeBrick(node.payload, shape, stored, brick.components, background);
     assert(decoded && "the codec reads what it wrote");
     std::vector<double>& kept = decoded_[std::size_t(depth)][slot];
     samplesToDouble(stored, decoded->values, kept);

@@ -21,6 +21,15 @@ bool isWidth(PayloadEncoding encoding, SampleType type, std::size_t width) {
     return false;
 }
 
+bool isPredictor(const PayloadParts& parts) {
+    switch (parts.predictor) {
+        case PayloadPredictor::kNone: return true;
+        case PayloadPredictor::kLorenzo: return !parts.selects;
+        case PayloadPredictor::kPrevious: return parts.selects;
+    }
+    return false;
+}
+
 bool isInteger(SampleType type) { return type == SampleType::kInt32 || type == SampleType::kInt64; }
 
 ValueBits readValue(ByteReader& reader, SampleType type) {
@@ -88,15 +97,19 @@ Result<Section> readSection(ByteReader& reader, std::size_t payload_bytes, Sampl
     // unknown.
     const auto encoding = reader.get<std::uint8_t>();
     section.is_draft = (encoding & kDraftFlag) != 0;
-    parts.encoding = PayloadEncoding(encoding & ~kDraftFlag);
+    parts.selects = (encoding & kSelectionFlag) != 0;
+    parts.selects_as_draft = (encoding & kDraftSelectionFlag) != 0;
+    parts.encoding = PayloadEncoding(encoding & ~(kDraftFlag | kSelectionFlag | kDraftSelectionFlag));
     parts.width = reader.get<std::uint8_t>();
     parts.predictor = PayloadPredictor(reader.get<std::uint8_t>());
     parts.activity = PayloadActivity(reader.get<std::uint8_t>());
     if (!reader.ok())
         return corrupt(fmt::format("payload of {} bytes ends within its header", payload_bytes));
-    if (!isWidth(parts.encoding, type, parts.width) || parts.predictor > PayloadPredictor::kLorenzo ||
+    if (!isWidth(parts.encoding, type, parts.width) || !isPredictor(parts) ||
         parts.activity > PayloadActivity::kMask ||
-        (parts.encoding == PayloadEncoding::kConstant && parts.predictor != PayloadPredictor::kNone))
+        (parts.encoding == PayloadEncoding::kConstant &&
+         (parts.predictor != PayloadPredictor::kNone || parts.selects)) ||
+        (parts.selects_as_draft && (!parts.selects || section.is_draft)))
         return corrupt(fmt::format(
             "payload with encoding {}, width {}, predictor {}, activity {} cannot be {}", int(parts.encoding),
             parts.width, int(parts.predictor), int(parts.activity), toString(type)));
@@ -128,16 +141,27 @@ Result<Section> readSection(ByteReader& reader, std::size_t payload_bytes, Sampl
         for (std::size_t c = 0; c < n; ++c) parts.offset[c] = readValue(reader, type);
     }
 
+    if (parts.selects)
+        for (std::size_t c = 0; c < n; ++c)
+            for (std::size_t j = 0; j < parts.width; ++j)
+                parts.filler[c] |= std::uint64_t(reader.get<std::uint8_t>()) << (8 * j);
+
     // Streams: all entries, then all bytes.
     std::array<std::uint32_t, kMaxWordBytes> plane_bytes{};
-    std::uint32_t mask_bytes = 0;
+    std::uint32_t mask_bytes = 0, selection_bytes = 0;
     for (std::size_t j = 0; j < parts.width; ++j) parts.planes[j] = readEntry(reader, plane_bytes[j]);
+    const bool has_selection = parts.selects && !parts.selects_as_draft;
+    if (has_selection) parts.selection = readEntry(reader, selection_bytes);
     const bool has_mask = parts.activity == PayloadActivity::kMask;
     if (has_mask) parts.mask = readEntry(reader, mask_bytes);
     bool sound = true;
     for (std::size_t j = 0; j < parts.width; ++j) {
         parts.planes[j].stored = reader.take(plane_bytes[j]);
         sound = sound && isStream(parts.planes[j]);
+    }
+    if (has_selection) {
+        parts.selection.stored = reader.take(selection_bytes);
+        sound = sound && isStream(parts.selection);
     }
     if (has_mask) {
         parts.mask.stored = reader.take(mask_bytes);
@@ -158,9 +182,13 @@ Result<ParsedPayload> parsePayload(std::span<const std::byte> payload, SampleTyp
         section = readSection(reader, payload.size(), type, components);
         if (section && (section->is_draft || section->parts.encoding != PayloadEncoding::kLossless))
             return corrupt("payload with a draft that nothing corrects");
+        if (section && section->parts.selects_as_draft && !parsed.draft->selects)
+            return corrupt("payload that selects as its draft, which selects nothing");
     }
     if (!section) return tl::unexpected(section.error());
     if (reader.left() != 0) return notTheSum(payload.size());
+    if (section->parts.selects_as_draft && !parsed.draft)
+        return corrupt("payload that selects as a draft that is not there");
     parsed.exact = section->parts;
     return parsed;
 }

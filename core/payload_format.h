@@ -21,7 +21,16 @@ enum class PayloadEncoding : std::uint8_t { kConstant = 0, kLossless = 1, kQuant
 // corrections stands.
 inline constexpr std::uint8_t kDraftFlag = 0x80;
 
-enum class PayloadPredictor : std::uint8_t { kNone = 0, kLorenzo = 1 };
+// Set in the encoding of a section that keeps words of selected samples alone; all others have one word, the
+// filler. With the second flag as well the samples are those that the draft in front selects.
+inline constexpr std::uint8_t kSelectionFlag = 0x40;
+inline constexpr std::uint8_t kDraftSelectionFlag = 0x20;
+
+enum class PayloadPredictor : std::uint8_t {
+    kNone = 0,
+    kLorenzo = 1,   // all samples
+    kPrevious = 2,  // selected samples: the one before, of the same component
+};
 enum class PayloadActivity : std::uint8_t {
     kNotKept = 0,
     kNoneActive = 1,
@@ -58,9 +67,13 @@ struct PayloadParts {
     std::array<std::uint64_t, kMaxComponents>
         offset{};     // kLossless integers: word = value - offset, modulo 2^64
     double step = 0;  // kQuantised
-    std::array<std::int64_t, kMaxComponents> base{};  // kQuantised
-    std::array<PayloadStream, kMaxWordBytes> planes;  // byte j of all words, lowest first; `width` of them
-    PayloadStream mask;                               // kMask
+    std::array<std::int64_t, kMaxComponents> base{};     // kQuantised
+    std::array<PayloadStream, kMaxWordBytes> planes;     // byte j of all words, lowest first; `width` of them
+    PayloadStream mask;                                  // kMask
+    bool selects = false;                                // only words of selected samples are kept
+    bool selects_as_draft = false;                       // ... and the draft says which
+    std::array<std::uint64_t, kMaxComponents> filler{};  // the word of all other samples
+    PayloadStream selection;  // one bit per sample, lowest first; unless selects_as_draft
 };
 
 // Nearly all payloads are one section. With a draft, the words of `exact` are zigzagged differences to what
