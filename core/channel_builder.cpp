@@ -40,10 +40,11 @@ bool meetOrigin(const std::vector<NodeKey>& keys) {
 }  // namespace
 
 ChannelBuilder::ChannelBuilder(const FieldSource& source, FiniteField field, const BuildOptions& options,
-                               ScratchFile& scratch)
+                               ScratchFile& scratch, BufferPool& buffers)
     : source_(&source), field_(std::move(field)), options_(options), scratch_(&scratch), subtrees_(scratch) {
     const ChannelInfo& info = field_.info();
     settings_.field = &field_;
+    settings_.buffers = &buffers;
     settings_.shape = options_.shape;
     // An identifier off by one is another identifier.
     settings_.max_error = options_.max_error = isFloating(info.type) ? options_.max_error : 0;
@@ -52,10 +53,11 @@ ChannelBuilder::ChannelBuilder(const FieldSource& source, FiniteField field, con
 
 Result<std::unique_ptr<ChannelBuilder>> ChannelBuilder::create(const FieldSource& source,
                                                                const BuildOptions& options,
-                                                               ScratchFile& scratch) {
+                                                               ScratchFile& scratch, BufferPool& buffers) {
     Result<FiniteField> field = FiniteField::create(source, options.nonfinite);
     if (!field) return tl::unexpected(field.error());
-    return std::unique_ptr<ChannelBuilder>(new ChannelBuilder(source, std::move(*field), options, scratch));
+    return std::unique_ptr<ChannelBuilder>(
+        new ChannelBuilder(source, std::move(*field), options, scratch, buffers));
 }
 
 Result<void> ChannelBuilder::plan() {
@@ -207,10 +209,10 @@ Result<void> ChannelBuilder::keepBase(Chunk& chunk, bool for_next_tier,
     Base base;
     base.node = std::move(chunk.node(chunk.steps(), 0, 0, 0));
     if (for_next_tier && base.node.kind == NodeKind::kSampled) {
-        const auto samples = scratch_->append(bytesOf(chunk.takeSamples()));
+        const auto samples = scratch_->append(bytesOf(chunk.topSamples()));
         if (!samples) return tl::unexpected(samples.error());
         base.samples_at = *samples;
-        const auto residual = scratch_->append(bytesOf(chunk.takeResidual()));
+        const auto residual = scratch_->append(bytesOf(chunk.topResidual()));
         if (!residual) return tl::unexpected(residual.error());
         base.residual_at = *residual;
     }

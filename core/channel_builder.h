@@ -22,9 +22,10 @@ namespace brickyard {
 
 class ChannelBuilder final : private BaseLevel {
 public:
-    // `source` and `scratch` outlive it. Errors: those of FiniteField::create.
+    // `source`, `scratch` and `buffers` outlive it. Errors: those of FiniteField::create.
     static Result<std::unique_ptr<ChannelBuilder>> create(const FieldSource& source,
-                                                          const BuildOptions& options, ScratchFile& scratch);
+                                                          const BuildOptions& options, ScratchFile& scratch,
+                                                          BufferPool& buffers);
 
     // Finds the chunks. Errors: kInvalid (a region of one value that is not finite), the source's.
     Result<void> plan();
@@ -58,7 +59,7 @@ private:
     };
 
     ChannelBuilder(const FieldSource& source, FiniteField field, const BuildOptions& options,
-                   ScratchFile& scratch);
+                   ScratchFile& scratch, BufferPool& buffers);
 
     // BaseLevel: the tier that was finished last.
     const ChunkNode* find(const NodeKey& key) const override;

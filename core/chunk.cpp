@@ -97,6 +97,16 @@ Chunk::Chunk(const ChunkSettings& settings, const NodeKey& root, bool for_next_t
     }
 }
 
+Chunk::~Chunk() { releaseSamples(); }
+
+void Chunk::releaseSamples() {
+    settings_.buffers->give(std::move(block_));
+    for (Level& level : levels_) {
+        for (std::vector<double>& samples : level.samples) settings_.buffers->give(std::move(samples));
+        level.samples.clear();
+    }
+}
+
 NodeKey Chunk::keyOf(int depth, std::size_t slot) const {
     const int down = steps_ - depth;
     const std::array<int, 3> at = placeOf(slot, down);
@@ -136,6 +146,7 @@ Result<void> Chunk::readField() {
         box.begin[a] -= levels_[0].halo;
         box.end[a] += levels_[0].halo;
     }
+    block_ = settings_.buffers->takeBlock();
     if (Result<void> read = settings_.field->read(box, block_); !read) return read;
     describeBricks();
     classify();
@@ -205,8 +216,10 @@ Result<void> Chunk::readBase(const BaseLevel& base) {
     const int reach = 1 << steps_;
     const NodeKey first = keyOf(0, 0);
     Level& level = levels_[0];
-    for (std::size_t c = 0; c < settings_.components(); ++c)
-        level.samples.emplace_back(level.edge * level.edge * level.edge, settings_.background[c]);
+    for (std::size_t c = 0; c < settings_.components(); ++c) {
+        level.samples.push_back(settings_.buffers->takeDoubles(level.edge * level.edge * level.edge));
+        std::fill(level.samples[c].begin(), level.samples[c].end(), settings_.background[c]);
+    }
     base_residual_.resize(nodes_[0].size());
 
     for (std::size_t slot = 0; slot < nodes_[0].size(); ++slot) {
@@ -350,7 +363,7 @@ void Chunk::reduce() {
         Level& level = levels_[std::size_t(d)];
         const Level& below = levels_[std::size_t(d) - 1];
         for (std::size_t c = 0; c < settings_.components(); ++c) {
-            level.samples.emplace_back(level.edge * level.edge * level.edge);
+            level.samples.push_back(settings_.buffers->takeDoubles(level.edge * level.edge * level.edge));
             double* const out = level.samples[c].data();
             if (d == 1)
                 visitBase(c, [&](auto whole) { reduceLevel(whole.first, level.edge, out); });
@@ -601,11 +614,13 @@ void Chunk::finish() {
         }
     for (const auto& [depth, slot] : coarse_) summarise(depth, slot);
     if (settings_.max_error > 0 && atLevel0()) prune();
-    block_ = {};
     shares_ = {};
     decoded_ = {};
     base_residual_ = {};
-    for (int d = 0; d < steps_; ++d) levels_[std::size_t(d)].samples = {};
+    std::vector<std::vector<double>> top = std::move(levels_.back().samples);
+    levels_.back().samples.clear();
+    releaseSamples();
+    levels_.back().samples = std::move(top);
 }
 
 // Ranges, boxes and states from what is below.
@@ -645,11 +660,10 @@ void Chunk::prune() {
         }
 }
 
-std::vector<double> Chunk::takeSamples() {
+std::vector<double> Chunk::topSamples() const {
     std::vector<double> samples;
-    for (std::vector<double>& component : levels_[std::size_t(steps_)].samples)
+    for (const std::vector<double>& component : levels_[std::size_t(steps_)].samples)
         samples.insert(samples.end(), component.begin(), component.end());
-    levels_ = {};
     return samples;
 }
 

@@ -11,6 +11,7 @@
 #include <optional>
 #include <vector>
 
+#include "core/buffer_pool.h"
 #include "core/deviation.h"
 #include "core/finite_field.h"
 #include "core/octree_plan.h"
@@ -18,13 +19,14 @@
 
 namespace brickyard {
 
-// The same for all chunks of a channel.
+// The same for all chunks of a channel. What it points to outlives them.
 struct ChunkSettings {
     const FiniteField* field = nullptr;
     BrickShape shape;
     double max_error = 0;  // as BuildOptions
     double scale = 1;      // keeps squared deviations in range
     std::vector<double> background;
+    BufferPool* buffers = nullptr;
 
     const ChannelInfo& info() const { return field->info(); }
     std::size_t components() const { return background.size(); }
@@ -81,6 +83,9 @@ class Chunk {
 public:
     // `root` is chunkSteps() levels above the base. `for_next_tier`: the residual of the root is wanted.
     Chunk(const ChunkSettings& settings, const NodeKey& root, bool for_next_tier);
+    ~Chunk();
+    Chunk(const Chunk&) = delete;
+    Chunk& operator=(const Chunk&) = delete;
 
     // The first tier: reads level 0 with the halo that reduction needs. Errors: the field's.
     Result<void> readField();
@@ -106,10 +111,9 @@ public:
         return std::size_t(x) + e * (std::size_t(y) + e * std::size_t(z));
     }
     const ActiveSummary& active() const { return active_; }
-    // The root's samples and residual; what is left of the chunk is of no use then. REQUIRES: finished,
-    // kSampled.
-    std::vector<double> takeSamples();
-    std::vector<CellResidual> takeResidual() { return std::move(residual_); }
+    // The root's samples and residual. REQUIRES: finished, kSampled.
+    std::vector<double> topSamples() const;
+    const std::vector<CellResidual>& topResidual() const { return residual_; }
 
 private:
     struct Level {
@@ -120,6 +124,7 @@ private:
     bool atLevel0() const { return root_.level == steps_; }
     template <class Visit>
     void visitBase(std::size_t component, Visit&& visit) const;
+    void releaseSamples();
     void describeBricks();
     Result<void> copyBase(const BaseLevel& base, const NodeKey& key);
     void classify();

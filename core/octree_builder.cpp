@@ -135,10 +135,11 @@ Result<FrameFooter> buildFrame(std::span<const FieldSource* const> channels,
         common.scratch_folder,
         std::size_t(common.memory_bytes > 0 ? std::min(kMostScratchMemory, common.memory_bytes / 8)
                                             : kMostScratchMemory));
+    BufferPool buffers;
     std::vector<std::unique_ptr<ChannelBuilder>> builders;
     for (std::size_t c = 0; c < channels.size(); ++c) {
         Result<std::unique_ptr<ChannelBuilder>> builder =
-            ChannelBuilder::create(*channels[c], options[c], scratch);
+            ChannelBuilder::create(*channels[c], options[c], scratch, buffers);
         if (!builder) return tl::unexpected(builder.error());
         builders.push_back(std::move(*builder));
     }

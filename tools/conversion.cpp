@@ -156,7 +156,7 @@ private:
         for (const auto& file : frame.inputs.files) {
             InputOptions input;
             input.channels = options_.channels;
-            input.memory_bytes = options_.memory_bytes;
+            input.memory_bytes = options_.memory_bytes / 4;
             input.probe_program = options_.probe_program;
             auto contents = openInput(file, input);
             if (!contents) return tl::unexpected(contents.error());
@@ -222,9 +222,10 @@ private:
             build.max_error = error == options_.channel_errors.end() ? options_.max_error : error->second;
             build.nonfinite = options_.nonfinite;
             build.parallel_for = pool_.parallelFor();
+            build.memory_bytes = options_.memory_bytes / 2;
             build.progress = [&, this](std::size_t done, std::size_t total) {
                 const double part = total > 0 ? double(done) / double(total) : 1;
-                progress_.show(fmt::format("{}, brick {} of {}", label, done, total), before + share * part,
+                progress_.show(fmt::format("{}, chunk {} of {}", label, done, total), before + share * part,
                                done_bytes + std::uint64_t(part * double(bytesOf(frame))));
             };
         }
@@ -233,6 +234,7 @@ private:
         if (!temporary) return tl::unexpected(temporary.error());
         auto output = FrameWriter::create(*temporary);
         if (!output) return tl::unexpected(output.error());
+        for (BuildOptions& build : options) build.scratch_folder = temporary->parent_path();
         const auto footer = buildFrame(sources, options, **output);
         if (!footer) {
             // The builder knows channels, not files.
