@@ -2,10 +2,13 @@
 
 #include "tools/importers/openvdb_source.h"
 #include "tools/importers/vdb_reader_guard.h"
+#include "tools/importers/vdb_source.h"
 
 namespace brickyard {
+namespace {
 
-Result<InputContents> openInput(const std::filesystem::path& file, const InputOptions& options) {
+// By libopenvdb, once a child process has shown that this ends well.
+Result<InputContents> openVdbGuarded(const std::filesystem::path& file, const InputOptions& options) {
     VdbLimits limits;
     limits.memory_bytes = options.memory_bytes;
     if (auto checked = checkVdb(file, options.channels, limits, options.probe_program); !checked)
@@ -17,6 +20,14 @@ Result<InputContents> openInput(const std::filesystem::path& file, const InputOp
     result.skipped = std::move(contents->skipped);
     result.names = std::move(contents->names);
     return result;
+}
+
+}  // namespace
+
+Result<InputContents> openInput(const std::filesystem::path& file, const InputOptions& options) {
+    auto contents = openVdb(file, options);
+    if (contents || contents.error().code != ErrorCode::kUnsupported) return contents;
+    return openVdbGuarded(file, options);
 }
 
 }  // namespace brickyard
