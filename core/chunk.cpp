@@ -114,15 +114,44 @@ NodeKey Chunk::keyOf(int depth, std::size_t slot) const {
             (root_.z << down) + at[2]};
 }
 
-// Calls visit with the base's samples of one component, halo included, as a SampleCube of their type.
+// Calls visit with the samples of one component of a node of the base, as a SampleCube of their type,
+// followed by the rest of the base's array. REQUIRES: isRead(slot).
 template <class Visit>
-void Chunk::visitBase(std::size_t component, Visit&& visit) const {
-    const std::size_t edge = levels_[0].edge, volume = edge * edge * edge;
-    if (!atLevel0()) return visit(wholeCube(levels_[0].samples[component].data(), edge));
+void Chunk::visitBase(std::size_t component, std::size_t slot, Visit&& visit) const {
+    const std::array<std::size_t, 3> at = baseAt(slot);
+    if (!atLevel0())
+        return visit(
+            wholeCube(levels_[0].samples[component].data(), levels_[0].edge).from(at[0], at[1], at[2]));
     visitType(settings_.info().type, [&]<class T>(const T*) {
         // A block of samples is allocated whole, so its values are aligned for their type.
-        visit(wholeCube(reinterpret_cast<const T*>(block_.values.data()) + component * volume, edge));
+        const auto [x, y, z] = part_.extent;
+        const SampleCube<T> whole{reinterpret_cast<const T*>(block_.values.data()) + component * x * y * z, x,
+                                  x * y};
+        visit(whole.from(at[0], at[1], at[2]));
     });
+}
+
+// Where the samples of a node of the base begin in the base's array.
+std::array<std::size_t, 3> Chunk::baseAt(std::size_t slot) const {
+    std::array<int, 3> place = placeOf(slot, steps_);
+    std::array<std::size_t, 3> at;
+    for (std::size_t a = 0; a < 3; ++a)
+        at[a] = std::size_t(levels_[0].halo + (place[a] - 2 * part_.begin[a]) * settings_.shape.edge_cells);
+    return at;
+}
+
+bool Chunk::isRead(std::size_t slot) const {
+    const std::array<int, 3> place = placeOf(slot, steps_);
+    for (std::size_t a = 0; a < 3; ++a)
+        if (place[a] < 2 * part_.begin[a] || place[a] >= 2 * part_.end[a]) return false;
+    return true;
+}
+
+SampleCube<std::uint8_t> Chunk::activeOf(std::size_t slot) const {
+    const std::array<std::size_t, 3> at = baseAt(slot);
+    const SampleCube<std::uint8_t> whole{block_.active.data(), part_.extent[0],
+                                         part_.extent[0] * part_.extent[1]};
+    return whole.from(at[0], at[1], at[2]);
 }
 
 // Samples (N + 1)^3 of a node above the base, before they were encoded.
@@ -140,11 +169,51 @@ double Chunk::valueOf(const ChunkNode& node, std::size_t component) const {
                                            : settings_.background[component];
 }
 
+// Finds the part that has to be read, false where there is none: thin or small fields fill little of their
+// chunks.
+bool Chunk::findPart() {
+    const auto isBackground = [&](const IndexBox& box) {
+        const auto uniform = settings_.field->uniformOver(box);
+        return uniform && !uniform->active && uniform->value == settings_.info().background;
+    };
+    const int nodes = 1 << (steps_ - 1);
+    part_.begin = {nodes, nodes, nodes};
+    part_.end = {0, 0, 0};
+    for (std::size_t slot = 0; slot < nodes_[1].size(); ++slot) {
+        if (isBackground(closedRegion(keyOf(1, slot), settings_.shape))) continue;
+        const std::array<int, 3> at = placeOf(slot, steps_ - 1);
+        for (std::size_t a = 0; a < 3; ++a) {
+            part_.begin[a] = std::min(part_.begin[a], at[a]);
+            part_.end[a] = std::max(part_.end[a], at[a] + 1);
+        }
+    }
+    if (part_.end[0] == 0) return false;
+    // Around the chunk there may be more than background: then the part reaches that side.
+    const IndexBox chunk = closedRegion(root_, settings_.shape);
+    const int halo = levels_[0].halo;
+    for (std::size_t a = 0; a < 3; ++a)
+        for (const bool high : {false, true}) {
+            if (high ? part_.end[a] == nodes : part_.begin[a] == 0) continue;
+            IndexBox slab = chunk;
+            for (std::size_t b = 0; b < 3; ++b) {
+                slab.begin[b] -= halo;
+                slab.end[b] += halo;
+            }
+            (high ? slab.begin[a] : slab.end[a]) = high ? chunk.end[a] : chunk.begin[a];
+            if (!isBackground(slab)) (high ? part_.end[a] : part_.begin[a]) = high ? nodes : 0;
+        }
+    return true;
+}
+
 Result<void> Chunk::readField() {
-    IndexBox box = closedRegion(root_, settings_.shape);
+    if (!findPart()) return {};
+    const std::int64_t node = 2 * std::int64_t(settings_.shape.edge_cells);
+    const IndexBox chunk = closedRegion(root_, settings_.shape);
+    IndexBox box;
     for (std::size_t a = 0; a < 3; ++a) {
-        box.begin[a] -= levels_[0].halo;
-        box.end[a] += levels_[0].halo;
+        box.begin[a] = chunk.begin[a] + part_.begin[a] * node - levels_[0].halo;
+        box.end[a] = chunk.begin[a] + part_.end[a] * node + 1 + levels_[0].halo;
+        part_.extent[a] = std::size_t(box.end[a] - box.begin[a]);
     }
     block_ = settings_.buffers->takeBlock();
     if (Result<void> read = settings_.field->read(box, block_); !read) return read;
@@ -157,23 +226,17 @@ Result<void> Chunk::readField() {
 // Kinds, ranges, boxes and states of the level-0 bricks.
 void Chunk::describeBricks() {
     const BrickShape shape = settings_.shape;
-    const std::size_t edge = levels_[0].edge, halo = std::size_t(levels_[0].halo);
     const ChannelInfo& info = settings_.info();
     for (std::size_t slot = 0; slot < nodes_[0].size(); ++slot) {
+        if (!isRead(slot)) continue;
         ChunkNode& node = nodes_[0][slot];
         const NodeKey key = keyOf(0, slot);
-        const std::array<int, 3> place = placeOf(slot, steps_);
-        const auto from = [&](std::size_t axis) {
-            return halo + std::size_t(place[axis] * shape.edge_cells);
-        };
-        const SampleCube<std::uint8_t> active =
-            wholeCube(block_.active.data(), edge).from(from(0), from(1), from(2));
+        const SampleCube<std::uint8_t> active = activeOf(slot);
         bool uniform = oneValue(active, shape);
         const ActiveVoxels voxels = countActive(active, shape);
         ActiveSummary found;
         for (std::size_t c = 0; c < settings_.components(); ++c)
-            visitBase(c, [&]<class T>(SampleCube<T> whole) {
-                const SampleCube<T> samples = whole.from(from(0), from(1), from(2));
+            visitBase(c, slot, [&]<class T>(SampleCube<T> samples) {
                 const bool one_value = oneValue(samples, shape);
                 uniform = uniform && one_value;
                 if (one_value) {
@@ -205,9 +268,8 @@ void Chunk::describeBricks() {
         if (!uniform) node.constant.clear();
         node.record.active = uniform && node.states_active;
         for (std::size_t c = 0; c < settings_.components(); ++c)
-            visitBase(c, [&]<class T>(SampleCube<T> whole) {
-                describeSamples(whole.from(from(0), from(1), from(2)), shape, settings_.background[c], c == 0,
-                                node.record);
+            visitBase(c, slot, [&](auto samples) {
+                describeSamples(samples, shape, settings_.background[c], c == 0, node.record);
             });
     }
 }
@@ -216,6 +278,7 @@ Result<void> Chunk::readBase(const BaseLevel& base) {
     const int reach = 1 << steps_;
     const NodeKey first = keyOf(0, 0);
     Level& level = levels_[0];
+    part_.end = {reach / 2, reach / 2, reach / 2};
     for (std::size_t c = 0; c < settings_.components(); ++c) {
         level.samples.push_back(settings_.buffers->takeDoubles(level.edge * level.edge * level.edge));
         std::fill(level.samples[c].begin(), level.samples[c].end(), settings_.background[c]);
@@ -365,10 +428,26 @@ void Chunk::reduce() {
         for (std::size_t c = 0; c < settings_.components(); ++c) {
             level.samples.push_back(settings_.buffers->takeDoubles(level.edge * level.edge * level.edge));
             double* const out = level.samples[c].data();
-            if (d == 1)
-                visitBase(c, [&](auto whole) { reduceLevel(whole.first, level.edge, out); });
-            else
-                reduceLevel(below.samples[c].data(), level.edge, out);
+            const std::size_t plane = level.edge * level.edge;
+            if (d > 1 || !atLevel0()) {
+                reduceLevel(wholeCube<double>(below.samples[c].data(), below.edge),
+                            {level.edge, level.edge, level.edge}, {out, level.edge, plane});
+                continue;
+            }
+            // Around the part that was read there is nothing but background, whose average is itself.
+            std::array<std::size_t, 3> extent, at;
+            for (std::size_t a = 0; a < 3; ++a) {
+                extent[a] = part_.extent[a] / 2;
+                at[a] = std::size_t(part_.begin[a] * settings_.shape.edge_cells);
+            }
+            if (extent != std::array<std::size_t, 3>{level.edge, level.edge, level.edge})
+                std::fill(level.samples[c].begin(), level.samples[c].end(), settings_.background[c]);
+            visitType(settings_.info().type, [&]<class T>(const T*) {
+                const auto [x, y, z] = part_.extent;
+                reduceLevel(
+                    SampleCube<T>{reinterpret_cast<const T*>(block_.values.data()) + c * x * y * z, x, x * y},
+                    extent, {out + at[2] * plane + at[1] * level.edge + at[0], level.edge, plane});
+            });
         }
     }
     shares_.assign(nodes_[1].size(),
@@ -391,18 +470,13 @@ void Chunk::encodeCoarse(std::size_t index) {
         for (std::size_t k = 0; k < s; ++k)
             for (std::size_t j = 0; j < s; ++j)
                 std::copy_n(coarse.rowAt(j, k), s, samples.data() + c * volume + (k * s + j) * s);
-        const auto measureStep = [&](auto whole, int halo) {
-            const auto from = [&](std::size_t axis) {
-                return std::size_t(halo + at[axis] * 2 * shape.edge_cells);
-            };
-            step_rms = std::max(step_rms, reductionRms(whole.from(from(0), from(1), from(2)), coarse,
-                                                       shape.edge_cells, settings_.scale));
+        const auto measureStep = [&](auto fine) {
+            step_rms = std::max(step_rms, reductionRms(fine, coarse, shape.edge_cells, settings_.scale));
         };
-        const Level& below = levels_[std::size_t(depth) - 1];
         if (depth == 1)
-            visitBase(c, [&](auto whole) { measureStep(whole, below.halo); });
+            visitBase(c, this->slot(0, 2 * at[0], 2 * at[1], 2 * at[2]), measureStep);
         else
-            measureStep(wholeCube(below.samples[c].data(), below.edge), below.halo);
+            measureStep(exact(depth - 1, this->slot(depth - 1, 2 * at[0], 2 * at[1], 2 * at[2]), c));
     }
 
     const SampleType stored = levelType(settings_.info().type, root_.level - steps_ + depth);
@@ -460,14 +534,9 @@ void Chunk::measureChild(std::size_t child, std::size_t parent, std::vector<Node
     const ChunkNode& node = nodes_[0][child];
     const BrickShape shape = settings_.shape;
     const std::size_t volume = shape.samples();
-    const std::array<int, 3> place = placeOf(child, steps_);
-    const auto from = [&](std::size_t axis) {
-        return std::size_t(levels_[0].halo + place[axis] * shape.edge_cells);
-    };
     const bool one_value = !atLevel0() && node.kind != NodeKind::kSampled;
     for (std::size_t c = 0; c < settings_.components(); ++c)
-        visitBase(c, [&]<class T>(SampleCube<T> whole) {
-            const SampleCube<T> samples = whole.from(from(0), from(1), from(2));
+        visitBase(c, child, [&]<class T>(SampleCube<T> samples) {
             MeasuredBrick measured{key, {}, {}};
             if constexpr (std::is_same_v<T, double>)
                 if (!atLevel0() && !one_value)
@@ -552,12 +621,7 @@ void Chunk::encodeFinest(std::size_t index, double parent_rms) {
     const ChannelInfo& info = settings_.info();
     ChunkNode& node = nodes_[0][index];
     const BrickShape shape = settings_.shape;
-    const std::size_t n = std::size_t(shape.edge_cells), s = n + 1, edge = levels_[0].edge;
-    const std::array<int, 3> place = placeOf(index, steps_);
-    const auto from = [&](std::size_t axis) {
-        return std::size_t(levels_[0].halo) + std::size_t(place[axis]) * n;
-    };
-
+    const std::size_t n = std::size_t(shape.edge_cells), s = n + 1;
     thread_local std::vector<std::byte> values;
     thread_local std::vector<std::uint8_t> active;
     const std::size_t bytes = sampleBytes(info.type);
@@ -565,15 +629,15 @@ void Chunk::encodeFinest(std::size_t index, double parent_rms) {
     active.resize(shape.cells());
     std::byte* out = values.data();
     for (std::size_t c = 0; c < settings_.components(); ++c)
-        for (std::size_t k = 0; k < s; ++k)
-            for (std::size_t j = 0; j < s; ++j, out += s * bytes) {
-                const std::size_t at = ((c * edge + from(2) + k) * edge + from(1) + j) * edge + from(0);
-                std::memcpy(out, block_.values.data() + at * bytes, s * bytes);
-            }
+        visitBase(c, index, [&](auto samples) {
+            for (std::size_t k = 0; k < s; ++k)
+                for (std::size_t j = 0; j < s; ++j, out += s * bytes)
+                    std::memcpy(out, samples.rowAt(j, k), s * bytes);
+        });
+    const SampleCube<std::uint8_t> states = activeOf(index);
     for (std::size_t k = 0; k < n; ++k)
         for (std::size_t j = 0; j < n; ++j)
-            std::copy_n(block_.active.data() + ((from(2) + k) * edge + from(1) + j) * edge + from(0), n,
-                        active.data() + (k * n + j) * n);
+            std::copy_n(states.rowAt(j, k), n, active.data() + (k * n + j) * n);
 
     BrickToEncode brick;
     brick.shape = shape;

@@ -121,9 +121,19 @@ private:
         int halo = 0;                              // of them in front of the chunk
         std::vector<std::vector<double>> samples;  // by component, x fastest; empty at level 0
     };
+    // The part of level 0 that was read: nodes of depth 1, [begin, end) per axis. All else is inactive
+    // background.
+    struct ReadPart {
+        std::array<int, 3> begin{}, end{};
+        std::array<std::size_t, 3> extent{};  // samples per axis, halo included
+    };
+    bool findPart();
+    SampleCube<std::uint8_t> activeOf(std::size_t slot) const;
+    std::array<std::size_t, 3> baseAt(std::size_t slot) const;
+    bool isRead(std::size_t slot) const;
     bool atLevel0() const { return root_.level == steps_; }
     template <class Visit>
-    void visitBase(std::size_t component, Visit&& visit) const;
+    void visitBase(std::size_t component, std::size_t slot, Visit&& visit) const;
     void releaseSamples();
     void describeBricks();
     Result<void> copyBase(const BaseLevel& base, const NodeKey& key);
@@ -143,6 +153,7 @@ private:
     NodeKey root_;
     int steps_;
     bool for_next_tier_;
+    ReadPart part_;
     SampleBlock block_;          // level 0 with its halo, in the channel's type
     std::vector<Level> levels_;  // [0] is the base: without samples at level 0
     std::vector<std::vector<ChunkNode>> nodes_;

@@ -72,22 +72,25 @@ BRICKYARD_ROW_SQUARES(std::uint8_t)
 }  // namespace
 
 template <class T>
-void reduceLevel(const T* fine, std::size_t c, double* coarse) {
-    const std::size_t f = 2 * c + 1;
+void reduceLevel(SampleCube<T> fine, const std::array<std::size_t, 3>& extent, SampleTarget coarse) {
+    const auto [nx, ny, nz] = extent;
+    const std::size_t fx = 2 * nx + 1;
     // y first, because rows are read as they lie; then x; then z, over three planes that are kept.
     thread_local std::vector<double> scratch;
-    scratch.resize(f + 3 * c * c);
+    scratch.resize(fx + 3 * nx * ny);
     double* const row = scratch.data();
-    const auto planeAt = [&](std::size_t k) { return scratch.data() + f + k % 3 * c * c; };
-    for (std::size_t k = 0; k < f; ++k) {
+    const auto planeAt = [&](std::size_t k) { return scratch.data() + fx + k % 3 * nx * ny; };
+    for (std::size_t k = 0; k < 2 * nz + 1; ++k) {
         double* const plane = planeAt(k);
-        for (std::size_t j = 0; j < c; ++j) {
-            const T* const in = fine + (k * f + 2 * j) * f;
-            weightTypedRows(in, in + f, in + 2 * f, f, row);
-            weightPairs(row, c, plane + j * c);
+        for (std::size_t j = 0; j < ny; ++j) {
+            weightTypedRows(fine.rowAt(2 * j, k), fine.rowAt(2 * j + 1, k), fine.rowAt(2 * j + 2, k), fx,
+                            row);
+            weightPairs(row, nx, plane + j * nx);
         }
-        if (k >= 2 && k % 2 == 0)
-            weightRows(planeAt(k - 2), planeAt(k - 1), plane, c * c, coarse + (k / 2 - 1) * c * c);
+        if (k < 2 || k % 2 != 0) continue;
+        for (std::size_t j = 0; j < ny; ++j)
+            weightRows(planeAt(k - 2) + j * nx, planeAt(k - 1) + j * nx, plane + j * nx, nx,
+                       coarse.first + (k / 2 - 1) * coarse.plane + j * coarse.row);
     }
 }
 
@@ -116,8 +119,8 @@ double reductionRms(SampleCube<T> fine, SampleCube<double> coarse, int edge_cell
     return scale * std::sqrt(sum / double(n * n * n));
 }
 
-#define BRICKYARD_INSTANTIATE(T)                                  \
-    template void reduceLevel<T>(const T*, std::size_t, double*); \
+#define BRICKYARD_INSTANTIATE(T)                                                                  \
+    template void reduceLevel<T>(SampleCube<T>, const std::array<std::size_t, 3>&, SampleTarget); \
     template double reductionRms<T>(SampleCube<T>, SampleCube<double>, int, double);
 BRICKYARD_INSTANTIATE(float)
 BRICKYARD_INSTANTIATE(double)

@@ -11,8 +11,8 @@ namespace brickyard {
 namespace {
 
 // Chunks on their way at once, where memory does not tell.
-constexpr std::size_t kMostChunks = 8;
-constexpr std::uint64_t kDefaultMemory = std::uint64_t(1) << 30;
+constexpr std::size_t kMostChunks = 4;
+constexpr std::uint64_t kDefaultMemory = std::uint64_t(512) << 20;
 constexpr std::uint64_t kMostScratchMemory = std::uint64_t(256) << 20;
 
 // Works through the level-0 chunks of all channels, in batches: while one batch is measured and encoded, the

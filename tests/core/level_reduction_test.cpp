@@ -19,7 +19,8 @@ std::vector<double> fineFrom(double (*value)(double, double, double)) {
 
 std::vector<double> reduced(const std::vector<double>& fine) {
     std::vector<double> coarse(std::size_t(kCoarse * kCoarse * kCoarse));
-    reduceLevel(fine.data(), kCoarse, coarse.data());
+    reduceLevel(wholeCube(fine.data(), kFine), {kCoarse, kCoarse, kCoarse},
+                {coarse.data(), kCoarse, kCoarse * kCoarse});
     return coarse;
 }
 
