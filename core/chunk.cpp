@@ -244,7 +244,15 @@ void Chunk::describeBricks() {
                     std::memcpy(&bits, samples.first, sizeof(T));
                     node.constant.push_back(bits);
                 }
-                if (voxels.count > 0) includeActive(samples, active, shape, found.any, found.min, found.max);
+                if (voxels.count == 0) return;
+                const double value = double(samples.at(0, 0, 0));
+                if (one_value) {
+                    found.min = found.any ? std::min(found.min, value) : value;
+                    found.max = found.any ? std::max(found.max, value) : value;
+                    found.any = true;
+                } else {
+                    includeActive(samples, active, shape, found.any, found.min, found.max);
+                }
             });
         node.states_uniform = voxels.count == 0 || voxels.count == shape.cells();
         node.states_active = voxels.count > 0;
@@ -267,10 +275,25 @@ void Chunk::describeBricks() {
         node.kind = uniform ? NodeKind::kUniform : NodeKind::kSampled;
         if (!uniform) node.constant.clear();
         node.record.active = uniform && node.states_active;
+        if (uniform) {
+            describeUniform(node);
+            continue;
+        }
         for (std::size_t c = 0; c < settings_.components(); ++c)
             visitBase(c, slot, [&](auto samples) {
                 describeSamples(samples, shape, settings_.background[c], c == 0, node.record);
             });
+    }
+}
+
+// Range and box of a node of one value.
+void Chunk::describeUniform(ChunkNode& node) const {
+    for (std::size_t c = 0; c < settings_.components(); ++c) {
+        const double value = valueOf(node, c);
+        NodeRecord& record = node.record;
+        record.value_min = c == 0 ? roundDown(value) : std::min(record.value_min, roundDown(value));
+        record.value_max = c == 0 ? roundUp(value) : std::max(record.value_max, roundUp(value));
+        if (value != settings_.background[c]) record.box_end.fill(std::uint8_t(settings_.shape.edge_cells));
     }
 }
 
@@ -328,18 +351,8 @@ Result<void> Chunk::readBase(const BaseLevel& base) {
                 }
     classify();
     for (int d = 0; d <= steps_; ++d)
-        for (ChunkNode& node : nodes_[std::size_t(d)]) {
-            if (node.kind != NodeKind::kUniform) continue;
-            for (std::size_t c = 0; c < settings_.components(); ++c) {
-                const double value = valueOf(node, c);
-                node.record.value_min =
-                    c == 0 ? roundDown(value) : std::min(node.record.value_min, roundDown(value));
-                node.record.value_max =
-                    c == 0 ? roundUp(value) : std::max(node.record.value_max, roundUp(value));
-                if (value != settings_.background[c])
-                    node.record.box_end.fill(std::uint8_t(settings_.shape.edge_cells));
-            }
-        }
+        for (ChunkNode& node : nodes_[std::size_t(d)])
+            if (node.kind == NodeKind::kUniform) describeUniform(node);
     reduce();
     return {};
 }
@@ -546,6 +559,11 @@ void Chunk::measureChild(std::size_t child, std::size_t parent, std::vector<Node
                 const std::size_t above = d == 1 ? parent : ancestorOf(parent, 1, d);
                 const std::span<const double> decoded(decoded_[std::size_t(d)][above].data() + c * volume,
                                                       volume);
+                // A brick of one value under a node that says the same deviates nowhere.
+                if (node.kind != NodeKind::kSampled &&
+                    hasOneValue(keyOf(d, above), wholeCube(decoded.data(), std::size_t(shape.edgeSamples())),
+                                key, valueOf(node, c), shape))
+                    continue;
                 DeviationPart part;
                 if (one_value)
                     addUniformDeviation(keyOf(d, above), decoded, key, valueOf(node, c), shape,
@@ -560,6 +578,8 @@ void Chunk::measureChild(std::size_t child, std::size_t parent, std::vector<Node
             const std::span<CellResidual> out =
                 std::span(residual_).subspan(c * shape.cells(), shape.cells());
             const SampleCube<double> top = exact(steps_, 0, c);
+            if (node.kind != NodeKind::kSampled && hasOneValue(root_, top, key, valueOf(node, c), shape))
+                return;
             if (one_value)
                 addUniformResidual(root_, top, key, valueOf(node, c), shape, settings_.scale, out);
             else if (!atLevel0())

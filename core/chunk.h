@@ -141,6 +141,7 @@ private:
     void reduce();
     SampleCube<double> exact(int depth, std::size_t slot, std::size_t component) const;
     double valueOf(const ChunkNode& node, std::size_t component) const;
+    void describeUniform(ChunkNode& node) const;
     std::size_t ancestorOf(std::size_t slot, int depth, int above) const;
     void measureChild(std::size_t child, std::size_t parent, std::vector<NodeDeviation>& own);
     void measureUniform(std::size_t slot);

@@ -266,9 +266,10 @@ void addPiece(const std::array<double, 8>& moments, double squares, double large
     out.largest = std::max(out.largest, largest);
 }
 
-// Whether the node's samples over a part are all the one value: then nothing deviates.
-bool sameValue(SampleCube<double> samples, const NodeKey& node, const NodeKey& part, BrickShape shape,
-               double value) {
+}  // namespace
+
+bool hasOneValue(const NodeKey& node, SampleCube<double> samples, const NodeKey& part, double value,
+                 BrickShape shape) {
     const Placement placed = place(node, part, shape);
     const int cells = std::max(1, int(std::ldexp(double(shape.edge_cells), part.level - node.level)));
     for (int k = 0; k <= cells; ++k)
@@ -280,8 +281,6 @@ bool sameValue(SampleCube<double> samples, const NodeKey& node, const NodeKey& p
                     return false;
     return true;
 }
-
-}  // namespace
 
 DeviationPart::SubBox& DeviationPart::at(int index) {
     for (int i = 0; i < count; ++i)
@@ -346,7 +345,7 @@ void addBrickDeviation(const NodeKey& node, std::span<const double> node_samples
 void addUniformDeviation(const NodeKey& node, std::span<const double> node_samples, const NodeKey& part,
                          double value, BrickShape shape, double scale, DeviationPart& out) {
     const SampleCube<double> own = wholeCube(node_samples.data(), std::size_t(shape.edgeSamples()));
-    if (sameValue(own, node, part, shape, value)) return;
+    if (hasOneValue(node, own, part, value, shape)) return;
     const double inverse = 1 / scale;
     const int box_cells = shape.edge_cells / kErrorGridEdge;
     const CellProducts products(
@@ -476,7 +475,7 @@ void addMeasuredResidual(const NodeKey& node, SampleCube<double> node_samples, c
 
 void addUniformResidual(const NodeKey& node, SampleCube<double> node_samples, const NodeKey& part,
                         double value, BrickShape shape, double scale, std::span<CellResidual> out) {
-    if (sameValue(node_samples, node, part, shape, value)) return;
+    if (hasOneValue(node, node_samples, part, value, shape)) return;
     const double inverse = 1 / scale;
     const CellProducts products(
         std::min(node.level, part.level + std::countr_zero(unsigned(shape.edge_cells))));

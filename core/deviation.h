@@ -41,6 +41,11 @@ void addBrickDeviation(const NodeKey& node, std::span<const double> node_samples
 void addUniformDeviation(const NodeKey& node, std::span<const double> node_samples, const NodeKey& part,
                          double value, BrickShape shape, double scale, DeviationPart& out);
 
+// Whether the samples of `node` over `part`, a node of any level below, are all `value`: where level 0 is
+// that value too, nothing deviates.
+bool hasOneValue(const NodeKey& node, SampleCube<double> samples, const NodeKey& part, double value,
+                 BrickShape shape);
+
 // Level 0 less the field of a brick above it, summed up per cell of that brick, so that a level further up
 // can be measured without visiting level 0 again: over the level-0 samples of a cell (half-open), with r =
 // level 0 - brick's field and w_q the trilinear weight of corner q, `moments[q]` = sum of w_q r, `squares` =
