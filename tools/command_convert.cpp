@@ -12,6 +12,7 @@
 #include "tools/conversion.h"
 #include "tools/importers/vdb_reader_guard.h"
 #include "tools/progress_line.h"
+#include "tools/raw_arguments.h"
 
 namespace brickyard {
 namespace {
@@ -22,6 +23,7 @@ struct ConvertArguments {
     std::vector<std::string> paths;
     std::string channels, memory, nonfinite = "reject";
     std::vector<std::string> errors;
+    RawArguments raw;
     int brick = kDefaultBrickEdge;
     unsigned jobs = 0;
     bool append = false, overwrite = false, json = false;
@@ -155,6 +157,11 @@ int runConvert(const ConvertArguments& arguments) {
     }
     options.brick_edge = arguments.brick;
     if (!arguments.memory.empty()) options.memory_bytes = *parseSize(arguments.memory);
+    InputOptions raw;
+    applyRawOptions(arguments.raw, raw);
+    options.raw = raw.raw;
+    options.raw_name = raw.raw_name;
+    options.raw_voxel_size = raw.raw_voxel_size;
     options.jobs = arguments.jobs;
     options.nonfinite = arguments.nonfinite == "zero"    ? NonFinite::kZero
                         : arguments.nonfinite == "clamp" ? NonFinite::kClamp
@@ -192,11 +199,12 @@ void addProbeCommand(CLI::App& app, int& status) {
 
 void addConvertCommand(CLI::App& app, int& status) {
     const auto arguments = std::make_shared<ConvertArguments>();
-    CLI::App* command = app.add_subcommand("convert", "Convert OpenVDB files to a dataset");
+    CLI::App* command = app.add_subcommand("convert", "Convert volume files to a dataset");
     command
         ->add_option(
             "paths", arguments->paths,
-            "INPUT... OUT: .vdb files (or a quoted pattern), then the dataset folder to write, OUT.bricks.\n"
+            "INPUT... OUT: .vdb files or raw dumps (or a quoted pattern), then the dataset folder to write,\n"
+            "OUT.bricks. "
             "The last digits of a file's name are its frame number; files of one number make one frame")
         ->required()
         ->expected(2, 1 << 24)
@@ -234,6 +242,7 @@ void addConvertCommand(CLI::App& app, int& status) {
         ->check(CLI::IsMember({"reject", "zero", "clamp"}))
         ->type_name("HOW")
         ->capture_default_str();
+    addRawOptions(*command, arguments->raw);
     CLI::Option* append =
         command->add_flag("--append", arguments->append, "Add new frames to an existing dataset");
     command

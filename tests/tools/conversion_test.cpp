@@ -45,9 +45,13 @@ protected:
         writeGrids(scratch_ / name, grids);
     }
     std::string path(const std::string& name) const { return (scratch_ / name).string(); }
+    static InputOptions reading() {
+        InputOptions options;
+        options.probe_program = BRICKYARD_COMMAND;
+        return options;
+    }
     SourceReport compare(std::uint64_t points = 20'000) {
-        const auto report =
-            checkAgainst(options_.output, options_.inputs, serialFor, points, BRICKYARD_COMMAND);
+        const auto report = checkAgainst(options_.output, options_.inputs, serialFor, points, reading());
         EXPECT_TRUE(report) << report.error().message;
         if (!report) return {};
         EXPECT_EQ(report->fault_count, 0u) << report->faults.front();
@@ -145,7 +149,7 @@ TEST_F(ConversionTest, ExportedGridsComeBackAsTheyWere) {
     const std::string command = std::string("'") + BRICKYARD_COMMAND + "' export '" +
                                 options_.output.string() + "' '" + exported + "' >/dev/null";
     ASSERT_EQ(std::system(command.c_str()), 0);
-    const auto same = checkAgainst(options_.output, {exported}, serialFor, 1000, BRICKYARD_COMMAND);
+    const auto same = checkAgainst(options_.output, {exported}, serialFor, 1000, reading());
     ASSERT_TRUE(same) << same.error().message;
     // A mask comes back as a bool grid: its values and states are the same.
     EXPECT_EQ(same->fault_count, 0u) << same->faults.front();
