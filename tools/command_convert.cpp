@@ -21,7 +21,7 @@ using Json = nlohmann::ordered_json;
 
 struct ConvertArguments {
     std::vector<std::string> paths;
-    std::string channels, memory, nonfinite = "reject";
+    std::string channels, frames, memory, nonfinite = "reject";
     std::vector<std::string> errors;
     RawArguments raw;
     int brick = kDefaultBrickEdge;
@@ -148,6 +148,7 @@ int runConvert(const ConvertArguments& arguments) {
     options.output = arguments.paths.back();
     options.channels = splitNames(arguments.channels);
     // Checked when the command line was parsed.
+    if (!arguments.frames.empty()) options.frames = *FrameSet::parse(arguments.frames);
     for (const std::string& text : arguments.errors) {
         const auto [name, error] = *parseErrorRequest(text);
         if (name.empty())
@@ -203,12 +204,22 @@ void addConvertCommand(CLI::App& app, int& status) {
     command
         ->add_option(
             "paths", arguments->paths,
-            "INPUT... OUT: .vdb files or raw dumps (or a quoted pattern), then the dataset folder to write,\n"
-            "OUT.bricks. "
-            "The last digits of a file's name are its frame number; files of one number make one frame")
+            "INPUT... OUT: .vdb files or raw dumps, then the dataset folder to write, OUT.bricks.\n"
+            "The last digits of a file's name are its frame number; files of one number make one frame.\n"
+            "A sequence may be a quoted pattern: 'plume.%04d.vdb', 'plume.####.vdb', 'plume.$F4.vdb' or\n"
+            "'plume.*.vdb' is every file there is of it")
         ->required()
         ->expected(2, 1 << 24)
         ->type_name("PATH");
+    command
+        ->add_option("--frames", arguments->frames,
+                     "Only these frames, for example 10-19 or 1,5,10-20:2. Frames that the dataset has\n"
+                     "beside them are left alone: several machines may convert a part each")
+        ->type_name("LIST")
+        ->check([](const std::string& text) {
+            const auto parsed = FrameSet::parse(text);
+            return parsed ? std::string() : parsed.error().message;
+        });
     command->add_option("--channel", arguments->channels, "Only these grids, separated by commas")
         ->type_name("A,B");
     command

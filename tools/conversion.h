@@ -7,17 +7,21 @@
 #include <filesystem>
 #include <functional>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "core/dataset_writer.h"
 #include "core/octree_builder.h"
 #include "core/result.h"
+#include "tools/frame_plan.h"
 
 namespace brickyard {
 
 struct ConversionOptions {
-    std::vector<std::string> inputs;  // files and patterns
+    std::vector<std::string> inputs;  // files and patterns (frame_plan.h)
+    // Only these of the frames that the inputs make; other frames of the dataset are left alone.
+    std::optional<FrameSet> frames;
     std::filesystem::path output;
     std::vector<std::string> channels;  // empty: all
     double max_error = 0;

@@ -297,11 +297,11 @@ Result<SourceReport> checkAgainst(const std::filesystem::path& folder, const std
     const Manifest& manifest = dataset->manifest();
     InputOptions options = reading;
     options.channels.assign(manifest.channel_filter().begin(), manifest.channel_filter().end());
-    const auto files = expandInputs(inputs);
-    if (!files) return tl::unexpected(files.error());
+    const auto frames = planInputs(inputs);
+    if (!frames) return tl::unexpected(frames.error());
 
     SourceReport report;
-    for (const FrameInputs& frame : planFrames(*files)) {
+    for (const FrameInputs& frame : *frames) {
         const auto store = dataset->openFrame(frame.frame);
         if (!store) return tl::unexpected(store.error());
         ++report.frames;
