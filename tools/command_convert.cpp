@@ -12,6 +12,7 @@
 #include "tools/conversion.h"
 #include "tools/importers/vdb_reader_guard.h"
 #include "tools/progress_line.h"
+#include "tools/raw_arguments.h"
 
 namespace brickyard {
 namespace {
@@ -20,8 +21,9 @@ using Json = nlohmann::ordered_json;
 
 struct ConvertArguments {
     std::vector<std::string> paths;
-    std::string channels, memory, nonfinite = "reject";
+    std::string channels, frames, memory, nonfinite = "reject";
     std::vector<std::string> errors;
+    RawArguments raw;
     int brick = kDefaultBrickEdge;
     unsigned jobs = 0;
     bool append = false, overwrite = false, json = false;
@@ -146,6 +148,7 @@ int runConvert(const ConvertArguments& arguments) {
     options.output = arguments.paths.back();
     options.channels = splitNames(arguments.channels);
     // Checked when the command line was parsed.
+    if (!arguments.frames.empty()) options.frames = *FrameSet::parse(arguments.frames);
     for (const std::string& text : arguments.errors) {
         const auto [name, error] = *parseErrorRequest(text);
         if (name.empty())
@@ -155,6 +158,11 @@ int runConvert(const ConvertArguments& arguments) {
     }
     options.brick_edge = arguments.brick;
     if (!arguments.memory.empty()) options.memory_bytes = *parseSize(arguments.memory);
+    InputOptions raw;
+    applyRawOptions(arguments.raw, raw);
+    options.raw = raw.raw;
+    options.raw_name = raw.raw_name;
+    options.raw_voxel_size = raw.raw_voxel_size;
     options.jobs = arguments.jobs;
     options.nonfinite = arguments.nonfinite == "zero"    ? NonFinite::kZero
                         : arguments.nonfinite == "clamp" ? NonFinite::kClamp
@@ -192,15 +200,26 @@ void addProbeCommand(CLI::App& app, int& status) {
 
 void addConvertCommand(CLI::App& app, int& status) {
     const auto arguments = std::make_shared<ConvertArguments>();
-    CLI::App* command = app.add_subcommand("convert", "Convert OpenVDB files to a dataset");
+    CLI::App* command = app.add_subcommand("convert", "Convert volume files to a dataset");
     command
         ->add_option(
             "paths", arguments->paths,
-            "INPUT... OUT: .vdb files (or a quoted pattern), then the dataset folder to write, OUT.bricks.\n"
-            "The last digits of a file's name are its frame number; files of one number make one frame")
+            "INPUT... OUT: .vdb files or raw dumps, then the dataset folder to write, OUT.bricks.\n"
+            "The last digits of a file's name are its frame number; files of one number make one frame.\n"
+            "A sequence may be a quoted pattern: 'plume.%04d.vdb', 'plume.####.vdb', 'plume.$F4.vdb' or\n"
+            "'plume.*.vdb' is every file there is of it")
         ->required()
         ->expected(2, 1 << 24)
         ->type_name("PATH");
+    command
+        ->add_option("--frames", arguments->frames,
+                     "Only these frames, for example 10-19 or 1,5,10-20:2. Frames that the dataset has\n"
+                     "beside them are left alone: several machines may convert a part each")
+        ->type_name("LIST")
+        ->check([](const std::string& text) {
+            const auto parsed = FrameSet::parse(text);
+            return parsed ? std::string() : parsed.error().message;
+        });
     command->add_option("--channel", arguments->channels, "Only these grids, separated by commas")
         ->type_name("A,B");
     command
@@ -234,6 +253,7 @@ void addConvertCommand(CLI::App& app, int& status) {
         ->check(CLI::IsMember({"reject", "zero", "clamp"}))
         ->type_name("HOW")
         ->capture_default_str();
+    addRawOptions(*command, arguments->raw);
     CLI::Option* append =
         command->add_flag("--append", arguments->append, "Add new frames to an existing dataset");
     command

@@ -11,6 +11,7 @@
 #include "tools/dataset_check.h"
 #include "tools/progress_line.h"
 #ifdef BRICKYARD_WITH_OPENVDB
+#include "tools/raw_arguments.h"
 #include "tools/source_check.h"
 #endif
 #include "tools/worker_pool.h"
@@ -23,6 +24,9 @@ using Json = nlohmann::ordered_json;
 struct VerifyArguments {
     std::string dataset;
     std::vector<std::string> against;
+#ifdef BRICKYARD_WITH_OPENVDB
+    RawArguments raw;
+#endif
     unsigned jobs = 0;
     bool json = false;
 };
@@ -42,14 +46,13 @@ Json describeSource(const SourceReport& report) {
               {"voxels_compared", report.voxels}, {"regions_compared", report.regions},
               {"points_compared", report.points}, {"largest_point_deviation", report.worst_point},
               {"faults", report.fault_count},     {"fault_messages", report.faults}};
-    if (report.worst.deviation >= 0)
-        json["worst_voxel"] = {{"frame", report.worst.frame},
-                               {"channel", report.worst.channel},
-                               {"index", {report.worst.x, report.worst.y, report.worst.z}},
-                               {"component", report.worst.component},
-                               {"stored", report.worst.stored},
-                               {"source", report.worst.source},
-                               {"deviation", report.worst.deviation}};
+    for (const WorstVoxel& worst : report.worst_of_channels) {
+        Json& voxel = json["worst_voxels"].emplace_back();
+        voxel = {
+            {"channel", worst.channel},     {"frame", worst.frame},   {"index", {worst.x, worst.y, worst.z}},
+            {"component", worst.component}, {"stored", worst.stored}, {"source", worst.source},
+            {"deviation", worst.deviation}};
+    }
     return json;
 }
 
@@ -58,17 +61,20 @@ void printSource(const SourceReport& report) {
     if (report.fault_count > report.faults.size())
         fmt::print("... and {} more\n", report.fault_count - report.faults.size());
     fmt::print(
-        "against the source: {} frames, {} channels, {} voxels and {} regions of one value compared, {} "
-        "points "
-        "against OpenVDB's sampler (largest deviation {:.3g})\n",
-        report.frames, report.channels, report.voxels, report.regions, report.points, report.worst_point);
-    const WorstVoxel& worst = report.worst;
-    if (worst.deviation > 0)
-        fmt::print("worst voxel: frame {}, channel '{}', ({}, {}, {}): {} here, {} in the source\n",
-                   worst.frame, printableName(worst.channel), worst.x, worst.y, worst.z, worst.stored,
-                   worst.source);
-    else if (report.fault_count == 0)
-        fmt::print("every voxel is bit-exact\n");
+        "against the source: {} frames, {} channels, {} voxels and {} regions of one value compared{}\n",
+        report.frames, report.channels, report.voxels, report.regions,
+        report.points > 0 ? fmt::format(", {} points against OpenVDB's sampler (largest deviation {:.3g})",
+                                        report.points, report.worst_point)
+                          : "");
+    bool exact = report.fault_count == 0;
+    for (const WorstVoxel& worst : report.worst_of_channels) {
+        if (!(worst.deviation > 0)) continue;
+        exact = false;
+        fmt::print("worst voxel of '{}': frame {}, ({}, {}, {}): {} here, {} in the source, {:.3g} off\n",
+                   printableName(worst.channel), worst.frame, worst.x, worst.y, worst.z, worst.stored,
+                   worst.source, worst.deviation);
+    }
+    if (exact) fmt::print("every voxel is bit-exact\n");
 }
 #endif
 
@@ -100,7 +106,10 @@ int runVerify(const VerifyArguments& arguments) {
     std::optional<Error> source_error;
 #ifdef BRICKYARD_WITH_OPENVDB
     if (report.faults.empty() && !arguments.against.empty()) {
-        if (const auto source = checkAgainst(arguments.dataset, arguments.against, pool.parallelFor())) {
+        InputOptions reading;
+        applyRawOptions(arguments.raw, reading);
+        if (const auto source =
+                checkAgainst(arguments.dataset, arguments.against, pool.parallelFor(), 100'000, reading)) {
             source_faults = source->fault_count;
             json["against"] = describeSource(*source);
             if (!arguments.json) printSource(*source);
@@ -152,6 +161,9 @@ void addVerifyCommand(CLI::App& app, int& status) {
             "The files it was made of: compares every voxel, and random points with OpenVDB's sampler")
         ->expected(1, 1 << 24)
         ->type_name("INPUT...");
+#ifdef BRICKYARD_WITH_OPENVDB
+    addRawOptions(*command, arguments->raw);
+#endif
     command->add_option("--jobs", arguments->jobs, "Threads; default one per processor")
         ->check(CLI::Range(1u, 1024u))
         ->type_name("N");

@@ -86,9 +86,10 @@ private:
     }
 
     Result<void> plan() {
-        const auto files = expandInputs(options_.inputs);
-        if (!files) return tl::unexpected(files.error());
-        for (FrameInputs& inputs : planFrames(*files)) {
+        auto planned = planInputs(options_.inputs);
+        if (!planned) return tl::unexpected(planned.error());
+        for (FrameInputs& inputs : *planned) {
+            if (options_.frames && !options_.frames->contains(inputs.frame)) continue;
             PlannedFrame frame;
             for (const auto& file : inputs.files) {
                 auto source = describeSource(file);
@@ -99,6 +100,11 @@ private:
             total_bytes_ += bytesOf(frame);
             frames_.push_back(std::move(frame));
         }
+        if (frames_.empty())
+            return fail(
+                ErrorCode::kNotFound,
+                fmt::format("{}: none of the {} frames that the inputs make is in --frames; name others",
+                            options_.inputs[0], planned->size()));
         return {};
     }
 
@@ -131,6 +137,8 @@ private:
             };
             if (frame == frames_.end()) {
                 if (options_.existing == ExistingDataset::kAppend) continue;
+                // Another run's, of the same farm.
+                if (options_.frames && !options_.frames->contains(entry.frame())) continue;
                 return refuse(fmt::format(
                     "exists with frame {}, which these inputs do not make; --append to add to it, "
                     "or --overwrite to start anew",
@@ -157,6 +165,9 @@ private:
             InputOptions input;
             input.channels = options_.channels;
             input.memory_bytes = options_.memory_bytes / 4;
+            input.raw = options_.raw;
+            input.raw_name = options_.raw_name;
+            input.raw_voxel_size = options_.raw_voxel_size;
             input.probe_program = options_.probe_program;
             auto contents = openInput(file, input);
             if (!contents) return tl::unexpected(contents.error());

@@ -1,29 +1,37 @@
-// OpenVDB files into a dataset: plans the frames, skips those that are there, reads, builds and commits the
+// Input files into a dataset: plans the frames, skips those that are there, reads, builds and commits the
 // others.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
 #include <map>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "core/dataset_writer.h"
 #include "core/octree_builder.h"
 #include "core/result.h"
+#include "tools/frame_plan.h"
 
 namespace brickyard {
 
 struct ConversionOptions {
-    std::vector<std::string> inputs;  // files and patterns
+    std::vector<std::string> inputs;  // files and patterns (frame_plan.h)
+    // Only these of the frames that the inputs make; other frames of the dataset are left alone.
+    std::optional<FrameSet> frames;
     std::filesystem::path output;
     std::vector<std::string> channels;  // empty: all
     double max_error = 0;
     std::map<std::string, double> channel_errors;  // by channel name; wins over max_error
     int brick_edge = kDefaultBrickEdge;
     std::uint64_t memory_bytes = 0;  // what reading one file may take; 0: a multiple of its size
-    unsigned jobs = 0;               // 0: one per hardware thread
+    // Of raw dumps, as in InputOptions; an empty `raw`: the inputs are none.
+    std::string raw, raw_name;
+    std::array<double, 3> raw_voxel_size{1, 1, 1};
+    unsigned jobs = 0;  // 0: one per hardware thread
     NonFinite nonfinite = NonFinite::kReject;
     ExistingDataset existing = ExistingDataset::kContinue;
     // The brickyard command that reads each file first (vdb_reader_guard.h); empty: this program.

@@ -16,15 +16,30 @@ struct FrameInputs {
     std::vector<std::filesystem::path> files;  // in the order they were named
 };
 
+// Frame numbers as a user lists them: "10-19", "1,5,10-20:2". A range may be huge; it is kept as such.
+class FrameSet {
+public:
+    // Errors: kInvalid.
+    static Result<FrameSet> parse(const std::string& text);
+    bool contains(std::uint32_t frame) const;
+
+private:
+    struct Range {
+        std::uint32_t first, last, step;
+    };
+    std::vector<Range> ranges_;
+};
+
 // The last run of digits in a file name without its extension: plume.0018.vdb is 18. Nothing where there is
 // none, or where it has more than 9 digits (a date or an identifier, not a frame).
 std::optional<std::uint32_t> frameNumber(const std::filesystem::path& file);
 
-// The files that `inputs` name; one that does not exist but has *, ? or [ in it is a pattern. A pattern's
-// files come in the order of their names. Errors: kNotFound.
-Result<std::vector<std::filesystem::path>> expandInputs(const std::vector<std::string>& inputs);
-
-// Groups files by frame number, rising; those without a number count 0, 1, 2 ... in order.
-std::vector<FrameInputs> planFrames(const std::vector<std::filesystem::path>& files);
+// The frames that `inputs` make, rising. An input that does not exist as it is written may be a pattern:
+// - with a place for the frame number, %04d, %d, ####, $F4 or $F, in its file name: all existing files of any
+//   number, with at least as many digits as are asked for; or
+// - with *, ? or [, as a shell has them: all files, in the order of their names.
+// A file without such a place has the number of frameNumber; those without any count 0, 1, 2 ... in order.
+// Files of one number make one frame. Errors: kNotFound.
+Result<std::vector<FrameInputs>> planInputs(const std::vector<std::string>& inputs);
 
 }  // namespace brickyard

@@ -21,9 +21,16 @@ namespace {
 
 constexpr std::int64_t kInt32End = std::int64_t(1) << 31;
 
+WorstVoxel& worstOf(SourceReport& report, const std::string& channel) {
+    for (WorstVoxel& worst : report.worst_of_channels)
+        if (worst.channel == channel) return worst;
+    report.worst_of_channels.emplace_back().channel = channel;
+    return report.worst_of_channels.back();
+}
+
 class ChannelCheck {
 public:
-    ChannelCheck(const FieldReader& stored, const FieldSource& source, const VdbField& sampler,
+    ChannelCheck(const FieldReader& stored, const FieldSource& source, const VdbField* sampler,
                  std::uint32_t frame, const ParallelFor& parallel_for, SourceReport& report)
         : stored_(stored),
           source_(source),
@@ -44,7 +51,7 @@ public:
         if (stored_.channel().active_voxels() != source_.info().active_voxels)
             fault("the counts of active voxels differ");
         if (auto compared = compareVoxels(); !compared) return compared;
-        return comparePoints(points);
+        return sampler_ ? comparePoints(points) : Result<void>();
     }
 
 private:
@@ -164,10 +171,11 @@ private:
         const double deviation = stored_bits == source_bits ? 0 : std::abs(stored - source);
         {
             const std::lock_guard lock(mutex_);
-            if (deviation > report_.worst.deviation)
-                report_.worst = {
-                    frame_,   stored_.channel().name(), at[0], at[1], at[2], component, stored, source,
-                    deviation};
+            const WorstVoxel here{
+                frame_, stored_.channel().name(), at[0], at[1], at[2], component, stored, source, deviation};
+            WorstVoxel& worst = worstOf(report_, here.channel);
+            if (deviation > worst.deviation) worst = here;
+            if (deviation > report_.worst.deviation) report_.worst = here;
         }
         // A coarse leaf is interpolated in double and rounded to the channel's type: half a unit in the last
         // place more.
@@ -201,7 +209,7 @@ private:
     }
 
     Result<void> comparePoint(const glm::dvec3& at) {
-        const auto expected = sampler_.boxSample(at);
+        const auto expected = sampler_->boxSample(at);
         if (!expected) return {};
         const auto stored = stored_.sample(at);
         if (!stored) return tl::unexpected(stored.error());
@@ -235,7 +243,7 @@ private:
 
     const FieldReader& stored_;
     const FieldSource& source_;
-    const VdbField& sampler_;
+    const VdbField* sampler_;  // null: the format has no program of its own to compare with
     std::uint32_t frame_;
     const ParallelFor& parallel_for_;
     SourceReport& report_;
@@ -252,30 +260,56 @@ NonFinite nonfiniteOf(const Manifest& manifest) {
                                              : NonFinite::kReject;
 }
 
+struct SourceField {
+    std::unique_ptr<FieldSource> field;
+    const VdbField* sampler = nullptr;  // the same field, where OpenVDB itself can be asked
+};
+
+// OpenVDB files are read by OpenVDB, however the converter reads them: a check wants to be independent.
+Result<std::vector<SourceField>> openSource(const std::filesystem::path& file, const InputOptions& options) {
+    std::vector<SourceField> fields;
+    const auto format = detectFormat(file, options);
+    if (!format) return tl::unexpected(format.error());
+    if (*format == InputFormat::kOpenVdb) {
+        if (auto checked = checkVdb(file, options.channels, {}, options.probe_program); !checked)
+            return tl::unexpected(checked.error());
+        auto contents = readVdb(file, options.channels);
+        if (!contents) return tl::unexpected(contents.error());
+        for (auto& field : contents->fields) {
+            const VdbField* const sampler = field.get();
+            fields.push_back({std::move(field), sampler});
+        }
+        return fields;
+    }
+    auto contents = openInput(file, options);
+    if (!contents) return tl::unexpected(contents.error());
+    for (auto& field : contents->fields) fields.push_back({std::move(field), nullptr});
+    return fields;
+}
+
 }  // namespace
 
 Result<SourceReport> checkAgainst(const std::filesystem::path& folder, const std::vector<std::string>& inputs,
                                   const ParallelFor& parallel_for, std::uint64_t points_per_channel,
-                                  const std::filesystem::path& probe_program) {
+                                  const InputOptions& reading) {
     const auto dataset = Dataset::open(folder);
     if (!dataset) return tl::unexpected(dataset.error());
     const Manifest& manifest = dataset->manifest();
-    const std::vector<std::string> filter(manifest.channel_filter().begin(), manifest.channel_filter().end());
-    const auto files = expandInputs(inputs);
-    if (!files) return tl::unexpected(files.error());
+    InputOptions options = reading;
+    options.channels.assign(manifest.channel_filter().begin(), manifest.channel_filter().end());
+    const auto frames = planInputs(inputs);
+    if (!frames) return tl::unexpected(frames.error());
 
     SourceReport report;
-    for (const FrameInputs& frame : planFrames(*files)) {
+    for (const FrameInputs& frame : *frames) {
         const auto store = dataset->openFrame(frame.frame);
         if (!store) return tl::unexpected(store.error());
         ++report.frames;
         std::size_t met = 0;
         for (const auto& file : frame.files) {
-            if (auto checked = checkVdb(file, filter, {}, probe_program); !checked)
-                return tl::unexpected(checked.error());
-            auto contents = readVdb(file, filter);
-            if (!contents) return tl::unexpected(contents.error());
-            for (const auto& field : contents->fields) {
+            const auto fields = openSource(file, options);
+            if (!fields) return tl::unexpected(fields.error());
+            for (const auto& [field, sampler] : *fields) {
                 const auto channel = findChannel(**store, field->info().name);
                 if (!channel) return tl::unexpected(channel.error());
                 auto finite = FiniteField::create(*field, nonfiniteOf(manifest));
@@ -283,7 +317,7 @@ Result<SourceReport> checkAgainst(const std::filesystem::path& folder, const std
                 const FieldReader reader(*store, *channel);
                 ++report.channels;
                 ++met;
-                if (auto checked = ChannelCheck(reader, *finite, *field, frame.frame, parallel_for, report)
+                if (auto checked = ChannelCheck(reader, *finite, sampler, frame.frame, parallel_for, report)
                                        .run(points_per_channel);
                     !checked)
                     return tl::unexpected(checked.error());

@@ -1,5 +1,5 @@
-// `brickyard verify --against`: a dataset compared with the OpenVDB files that it was made of, voxel by
-// voxel, and at random points with OpenVDB's own sampler.
+// `brickyard verify --against`: a dataset compared with the files that it was made of, voxel by voxel, and
+// OpenVDB files at random points with OpenVDB's own sampler as well.
 #pragma once
 
 #include <cstdint>
@@ -9,6 +9,7 @@
 
 #include "core/octree_builder.h"
 #include "core/result.h"
+#include "tools/importers/input_file.h"
 
 namespace brickyard {
 
@@ -23,21 +24,23 @@ struct WorstVoxel {
 
 struct SourceReport {
     std::uint64_t frames = 0, channels = 0;
-    std::uint64_t voxels = 0;         // compared one by one; regions of one value count as one each
-    std::uint64_t regions = 0;        // of one value, compared at once
-    std::uint64_t points = 0;         // compared with OpenVDB's sampler
-    double worst_point = 0;           // largest deviation there
-    WorstVoxel worst;                 // deviation < 0: nothing compared
+    std::uint64_t voxels = 0;   // compared one by one; regions of one value count as one each
+    std::uint64_t regions = 0;  // of one value, compared at once
+    std::uint64_t points = 0;   // compared with OpenVDB's sampler
+    double worst_point = 0;     // largest deviation there
+    WorstVoxel worst;           // deviation < 0: nothing compared
+    std::vector<WorstVoxel>
+        worst_of_channels;            // each over all frames; channels of which anything was compared
     std::vector<std::string> faults;  // one line each, at most kMaxFaults
     std::uint64_t fault_count = 0;
 };
 inline constexpr std::size_t kMaxFaults = 100;
 
-// Errors: those of reading either side; kNotFound where the files make a frame or channel that the dataset
-// lacks.
+// `reading`: as for openInput; the channels are the dataset's. Errors: those of reading either side;
+// kNotFound where the files make a frame or channel that the dataset lacks.
 Result<SourceReport> checkAgainst(const std::filesystem::path& dataset,
                                   const std::vector<std::string>& inputs, const ParallelFor& parallel_for,
                                   std::uint64_t points_per_channel = 100'000,
-                                  const std::filesystem::path& probe_program = {});
+                                  const InputOptions& reading = {});
 
 }  // namespace brickyard

@@ -9,14 +9,12 @@
 #include "sample_grids.h"
 #include "tools/dataset_check.h"
 #include "tools/field_reader.h"
-#include "tools/frame_plan.h"
 #include "tools/source_check.h"
 
 namespace brickyard {
 namespace {
 
 namespace fs = std::filesystem;
-using testing::ElementsAre;
 using testing::HasSubstr;
 
 const fs::path kPlume = fs::path(BRICKYARD_TEST_DATA) / "plume";
@@ -45,9 +43,13 @@ protected:
         writeGrids(scratch_ / name, grids);
     }
     std::string path(const std::string& name) const { return (scratch_ / name).string(); }
+    static InputOptions reading() {
+        InputOptions options;
+        options.probe_program = BRICKYARD_COMMAND;
+        return options;
+    }
     SourceReport compare(std::uint64_t points = 20'000) {
-        const auto report =
-            checkAgainst(options_.output, options_.inputs, serialFor, points, BRICKYARD_COMMAND);
+        const auto report = checkAgainst(options_.output, options_.inputs, serialFor, points, reading());
         EXPECT_TRUE(report) << report.error().message;
         if (!report) return {};
         EXPECT_EQ(report->fault_count, 0u) << report->faults.front();
@@ -145,7 +147,7 @@ TEST_F(ConversionTest, ExportedGridsComeBackAsTheyWere) {
     const std::string command = std::string("'") + BRICKYARD_COMMAND + "' export '" +
                                 options_.output.string() + "' '" + exported + "' >/dev/null";
     ASSERT_EQ(std::system(command.c_str()), 0);
-    const auto same = checkAgainst(options_.output, {exported}, serialFor, 1000, BRICKYARD_COMMAND);
+    const auto same = checkAgainst(options_.output, {exported}, serialFor, 1000, reading());
     ASSERT_TRUE(same) << same.error().message;
     // A mask comes back as a bool grid: its values and states are the same.
     EXPECT_EQ(same->fault_count, 0u) << same->faults.front();
@@ -300,31 +302,6 @@ TEST_F(ConversionTest, AManifestThatLostItsChecksumIsReported) {
         changed[at] = char(changed[at] ^ (1 << random() % 7));
         writeFile(manifest, changed);
         EXPECT_FALSE(checkDataset(options_.output, serialFor, nullptr).faults.empty()) << "byte " << at;
-    }
-}
-
-TEST(FramePlan, TheLastDigitsOfANameAreItsFrame) {
-    EXPECT_EQ(frameNumber("plume.0018.vdb"), 18u);
-    EXPECT_EQ(frameNumber("/2024/shot_12/smoke.vdb"), std::nullopt);
-    EXPECT_EQ(frameNumber("v2_density_0100.vdb"), 100u);
-    EXPECT_EQ(frameNumber("7.vdb"), 7u);
-    EXPECT_EQ(frameNumber("take20261122130000.vdb"), std::nullopt);
-    const auto plan = planFrames({"b.vdb", "x.0003.vdb", "a.vdb", "y.3.vdb"});
-    ASSERT_EQ(plan.size(), 3u);
-    EXPECT_EQ(plan[0].files, (std::vector<fs::path>{"b.vdb"}));
-    EXPECT_EQ(plan[1].files, (std::vector<fs::path>{"a.vdb"}));
-    EXPECT_EQ(plan[2].frame, 3u);
-    EXPECT_EQ(plan[2].files, (std::vector<fs::path>{"x.0003.vdb", "y.3.vdb"}));
-}
-
-TEST(FramePlan, PatternsAreExpandedAndMissingFilesNamed) {
-    const auto files = expandInputs({(kPlume / "plume.00[12]*.vdb").string()});
-    ASSERT_TRUE(files);
-    EXPECT_THAT(*files, ElementsAre(kPlume / "plume.0018.vdb", kPlume / "plume.0024.vdb"));
-    for (const char* missing : {"/nonexistent/a.vdb", "/nonexistent/*.vdb"}) {
-        const auto none = expandInputs({missing});
-        ASSERT_FALSE(none);
-        EXPECT_THAT(none.error().message, HasSubstr(missing));
     }
 }
 

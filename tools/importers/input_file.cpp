@@ -1,6 +1,13 @@
 #include "tools/importers/input_file.h"
 
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+
+#include "tools/importers/byte_file.h"
 #include "tools/importers/openvdb_source.h"
+#include "tools/importers/raw_source.h"
 #include "tools/importers/vdb_reader_guard.h"
 #include "tools/importers/vdb_source.h"
 
@@ -24,10 +31,41 @@ Result<InputContents> openVdbGuarded(const std::filesystem::path& file, const In
 
 }  // namespace
 
+Result<InputFormat> detectFormat(const std::filesystem::path& path, const InputOptions& options) {
+    if (!options.raw.empty()) return InputFormat::kRaw;
+    const auto file = ByteFile::open(path);
+    if (!file) return tl::unexpected(file.error());
+    std::array<char, 8> first{};
+    const std::size_t length = std::size_t(std::min<std::uint64_t>(file->size(), first.size()));
+    if (auto read = file->readAt(0, std::as_writable_bytes(std::span(first)).first(length)); !read)
+        return tl::unexpected(read.error());
+    const std::string_view magic(first.data(), length);
+    // OpenVDB's is a 64-bit number, of which the upper half is 0.
+    if (magic.starts_with(" BDV")) return InputFormat::kOpenVdb;
+    if (magic.starts_with("NanoVDB")) return InputFormat::kNanoVdb;
+    if (magic.starts_with("NRRD000")) return InputFormat::kNrrd;
+    return fail(
+        ErrorCode::kUnsupported,
+        fmt::format("{}: not an OpenVDB file, nor of another format that is understood (OpenVDB, NanoVDB, "
+                    "NRRD); a raw dump needs its layout, --raw 128x128x128:uint16",
+                    path.string()));
+}
+
 Result<InputContents> openInput(const std::filesystem::path& file, const InputOptions& options) {
-    auto contents = openVdb(file, options);
-    if (contents || contents.error().code != ErrorCode::kUnsupported) return contents;
-    return openVdbGuarded(file, options);
+    const auto format = detectFormat(file, options);
+    if (!format) return tl::unexpected(format.error());
+    switch (*format) {
+        case InputFormat::kOpenVdb: {
+            auto contents = openVdb(file, options);
+            if (contents || contents.error().code != ErrorCode::kUnsupported) return contents;
+            return openVdbGuarded(file, options);
+        }
+        case InputFormat::kRaw: return readRaw(file, options);
+        case InputFormat::kNrrd:
+        case InputFormat::kNanoVdb: break;
+    }
+    return fail(ErrorCode::kUnsupported,
+                fmt::format("{}: its format is left out of this build", file.string()));
 }
 
 }  // namespace brickyard

@@ -2,6 +2,7 @@
 // read from its first bytes, not from its name; a raw dump has none and is named by its layout.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <filesystem>
 #include <memory>
@@ -35,10 +36,19 @@ struct InputOptions {
     std::uint64_t memory_bytes = 0;
     // Layout of a raw dump, as after --raw: "128x128x128:float32". Empty: the file tells what it is.
     std::string raw;
+    // Of a raw dump, which has neither.
+    std::array<double, 3> raw_voxel_size{1, 1, 1};
+    std::string raw_name;  // empty: "density"
     // The brickyard command that reads a file under limits where our own reader cannot (vdb_reader_guard.h);
     // empty: this program.
     std::filesystem::path probe_program;
 };
+
+enum class InputFormat { kOpenVdb, kNanoVdb, kNrrd, kRaw };
+
+// Told by the first bytes; kRaw where a layout is given. Errors: kNotFound, kIo; kUnsupported, with what
+// would be understood.
+Result<InputFormat> detectFormat(const std::filesystem::path& file, const InputOptions& options);
 
 // Errors: kNotFound, kIo, kCorrupt, kUnsupported, kInvalid: one line with file, grid and place.
 Result<InputContents> openInput(const std::filesystem::path& file, const InputOptions& options);
