@@ -31,6 +31,7 @@ public:
         return buffer;
     }
     void give(std::vector<double> buffer) {
+        if (buffer.capacity() == 0) return;
         const std::lock_guard lock(mutex_);
         doubles_.push_back(std::move(buffer));
     }
@@ -42,6 +43,7 @@ public:
         return block;
     }
     void give(SampleBlock block) {
+        if (block.values.capacity() == 0) return;
         const std::lock_guard lock(mutex_);
         blocks_.push_back(std::move(block));
     }
