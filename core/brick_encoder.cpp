@@ -243,15 +243,13 @@ private:
     // Samples of which a component is not the background, bit for bit.
     const Selection& exactSelection() const {
         if (selection_) return *selection_;
-        std::array<T, kMaxComponents> background{};
+        using Bits = std::conditional_t<sizeof(T) == 1, std::uint8_t,
+                                        std::conditional_t<sizeof(T) == 4, std::uint32_t, std::uint64_t>>;
+        std::vector<std::uint8_t> flags(n_, 0);
         for (std::size_t c = 0; c < components_; ++c)
-            std::memcpy(&background[c], &brick_.background[c], sizeof(T));
-        selection_ = select(n_, [&](std::size_t i) {
-            bool differs = false;
-            for (std::size_t c = 0; c < components_; ++c)
-                differs |= std::memcmp(values_ + c * n_ + i, &background[c], sizeof(T)) != 0;
-            return differs;
-        });
+            flagOthers(reinterpret_cast<const Bits*>(values_ + c * n_), n_, Bits(brick_.background[c]),
+                       flags.data());
+        selection_ = selectFlagged(flags);
         return *selection_;
     }
 
@@ -424,12 +422,16 @@ private:
             std::array<double, kMaxComponents> background{};
             for (std::size_t c = 0; c < components_; ++c)
                 background[c] = rounded(toDouble(brick_.type, brick_.background[c]) * inverse) - base[c];
-            own = select(n_, [&](std::size_t i) {
-                bool differs = false;
-                for (std::size_t c = 0; c < components_; ++c)
-                    differs |= double(words[c * n_ + i]) != background[c];
-                return differs;
-            });
+            std::vector<std::uint8_t> flags(n_, 0);
+            for (std::size_t c = 0; c < components_; ++c) {
+                const bool within =
+                    background[c] >= 0 && background[c] <= double(std::numeric_limits<W>::max());
+                if (within)
+                    flagOthers(words.data() + c * n_, n_, W(background[c]), flags.data());
+                else
+                    std::fill(flags.begin(), flags.end(), std::uint8_t(1));
+            }
+            own = selectFlagged(flags);
             selection = &own;
         }
         PackedSection candidate = packWords({PayloadEncoding::kQuantised, selection}, std::move(words),

@@ -42,18 +42,64 @@ BRICKYARD_RANGE(std::int64_t)
 BRICKYARD_RANGE(std::uint8_t)
 #undef BRICKYARD_RANGE
 
+// Column by column over rows of n samples: low and high of each.
+#define BRICKYARD_COLUMN_RANGES(T)                                                                  \
+    BRICKYARD_VECTOR_CLONES                                                                         \
+    void includeColumns(const T* samples, std::size_t row, std::size_t rows, std::size_t n, T* low, \
+                        T* high) {                                                                  \
+        for (std::size_t j = 0; j < rows; ++j, samples += row)                                      \
+            for (std::size_t i = 0; i < n; ++i) {                                                   \
+                low[i] = samples[i] < low[i] ? samples[i] : low[i];                                 \
+                high[i] = samples[i] > high[i] ? samples[i] : high[i];                              \
+            }                                                                                       \
+    }
+BRICKYARD_COLUMN_RANGES(float)
+BRICKYARD_COLUMN_RANGES(double)
+BRICKYARD_COLUMN_RANGES(std::int32_t)
+BRICKYARD_COLUMN_RANGES(std::int64_t)
+BRICKYARD_COLUMN_RANGES(std::uint8_t)
+#undef BRICKYARD_COLUMN_RANGES
+
 }  // namespace
 
 template <class T>
-void describeSamples(SampleCube<T> samples, BrickShape shape, double background, bool first,
-                     NodeRecord& record) {
+OwnedRange describeSamples(SampleCube<T> samples, BrickShape shape, double background, bool first,
+                           NodeRecord& record) {
     const int s = shape.edgeSamples(), n = shape.edge_cells;
+    // Owned samples, and those on the far faces, which are not.
+    std::array<T, kMaxBrickEdge> columns_low, columns_high;
+    columns_low.fill(samples.at(0, 0, 0));
+    columns_high.fill(samples.at(0, 0, 0));
+    std::array<T, kMaxBrickEdge> face_low = columns_low, face_high = columns_high;
+    T last_low = columns_low[0], last_high = last_low;
+    const auto edge = std::size_t(n);
+    for (std::size_t k = 0; k <= edge; ++k) {
+        if (k < edge) {
+            includeColumns(samples.rowAt(0, k), samples.row, edge, edge, columns_low.data(),
+                           columns_high.data());
+            includeColumns(samples.rowAt(edge, k), samples.row, 1, edge, face_low.data(), face_high.data());
+        } else {
+            includeColumns(samples.rowAt(0, k), samples.row, edge + 1, edge, face_low.data(),
+                           face_high.data());
+        }
+        for (std::size_t j = 0; j <= edge; ++j) {
+            last_low = std::min(last_low, samples.at(edge, j, k));
+            last_high = std::max(last_high, samples.at(edge, j, k));
+        }
+    }
+    const T owned_min = *std::min_element(columns_low.begin(), columns_low.begin() + n);
+    const T owned_max = *std::max_element(columns_high.begin(), columns_high.begin() + n);
+    const T min = std::min({owned_min, last_low, *std::min_element(face_low.begin(), face_low.begin() + n)});
+    const T max =
+        std::max({owned_max, last_high, *std::max_element(face_high.begin(), face_high.begin() + n)});
+    const float rounded_min = roundDown(double(min)), rounded_max = roundUp(double(max));
+    record.value_min = first ? rounded_min : std::min(record.value_min, rounded_min);
+    record.value_max = first ? rounded_max : std::max(record.value_max, rounded_max);
+
     std::array<int, 3> low{s, s, s}, high{-1, -1, -1};
-    T min = samples.at(0, 0, 0), max = min;
     for (int k = 0; k < s; ++k)
         for (int j = 0; j < s; ++j) {
             const T* const row = samples.rowAt(std::size_t(j), std::size_t(k));
-            includeRange(row, std::size_t(s), min, max);
             int begin = 0, end = s;
             while (begin < s && double(row[begin]) == background) ++begin;
             if (begin == s) continue;
@@ -61,10 +107,8 @@ void describeSamples(SampleCube<T> samples, BrickShape shape, double background,
             low = {std::min(low[0], begin), std::min(low[1], j), std::min(low[2], k)};
             high = {std::max(high[0], end - 1), std::max(high[1], j), std::max(high[2], k)};
         }
-    const float rounded_min = roundDown(double(min)), rounded_max = roundUp(double(max));
-    record.value_min = first ? rounded_min : std::min(record.value_min, rounded_min);
-    record.value_max = first ? rounded_max : std::max(record.value_max, rounded_max);
-    if (high[0] < 0) return;
+    const OwnedRange owned{double(owned_min), double(owned_max)};
+    if (high[0] < 0) return owned;
     const bool empty = record.box_end[0] <= record.box_begin[0];
     for (std::size_t a = 0; a < 3; ++a) {
         // A sample touches the cells on both sides of it.
@@ -72,6 +116,7 @@ void describeSamples(SampleCube<T> samples, BrickShape shape, double background,
         record.box_begin[a] = std::uint8_t(empty ? begin : std::min<int>(record.box_begin[a], begin));
         record.box_end[a] = std::uint8_t(empty ? end : std::max<int>(record.box_end[a], end));
     }
+    return owned;
 }
 
 template <class T>
@@ -137,7 +182,7 @@ ActiveVoxels countActive(SampleCube<std::uint8_t> active, BrickShape shape) {
 }
 
 #define BRICKYARD_INSTANTIATE(T)                                                                        \
-    template void describeSamples<T>(SampleCube<T>, BrickShape, double, bool, NodeRecord&);             \
+    template OwnedRange describeSamples<T>(SampleCube<T>, BrickShape, double, bool, NodeRecord&);       \
     template bool oneValue<T>(SampleCube<T>, BrickShape);                                               \
     template void includeActive<T>(SampleCube<T>, SampleCube<std::uint8_t>, BrickShape, bool&, double&, \
                                    double&);

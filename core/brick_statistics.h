@@ -11,11 +11,14 @@
 namespace brickyard {
 
 // Range of one component's (N + 1)^3 samples, and the tight box of cells that have a corner other than
-// `background`, both added to `record` (`first`: nothing is there yet). T: float, double, std::int32_t,
-// std::int64_t, std::uint8_t.
+// `background`, both added to `record` (`first`: nothing is there yet). Gives the range of the owned samples,
+// [0, N)^3. T: float, double, std::int32_t, std::int64_t, std::uint8_t.
+struct OwnedRange {
+    double min = 0, max = 0;
+};
 template <class T>
-void describeSamples(SampleCube<T> samples, BrickShape shape, double background, bool first,
-                     NodeRecord& record);
+OwnedRange describeSamples(SampleCube<T> samples, BrickShape shape, double background, bool first,
+                           NodeRecord& record);
 
 // Whether all (N + 1)^3 samples have the same bits.
 template <class T>

@@ -226,63 +226,56 @@ Result<void> Chunk::readField() {
 // Kinds, ranges, boxes and states of the level-0 bricks.
 void Chunk::describeBricks() {
     const BrickShape shape = settings_.shape;
-    const ChannelInfo& info = settings_.info();
     for (std::size_t slot = 0; slot < nodes_[0].size(); ++slot) {
         if (!isRead(slot)) continue;
         ChunkNode& node = nodes_[0][slot];
-        const NodeKey key = keyOf(0, slot);
         const SampleCube<std::uint8_t> active = activeOf(slot);
-        bool uniform = oneValue(active, shape);
         const ActiveVoxels voxels = countActive(active, shape);
-        ActiveSummary found;
-        for (std::size_t c = 0; c < settings_.components(); ++c)
-            visitBase(c, slot, [&]<class T>(SampleCube<T> samples) {
-                const bool one_value = oneValue(samples, shape);
-                uniform = uniform && one_value;
-                if (one_value) {
-                    ValueBits bits = 0;
-                    std::memcpy(&bits, samples.first, sizeof(T));
-                    node.constant.push_back(bits);
-                }
-                if (voxels.count == 0) return;
-                const double value = double(samples.at(0, 0, 0));
-                if (one_value) {
-                    found.min = found.any ? std::min(found.min, value) : value;
-                    found.max = found.any ? std::max(found.max, value) : value;
-                    found.any = true;
-                } else {
-                    includeActive(samples, active, shape, found.any, found.min, found.max);
-                }
-            });
         node.states_uniform = voxels.count == 0 || voxels.count == shape.cells();
         node.states_active = voxels.count > 0;
-        if (voxels.count > 0) {
-            found.voxels = voxels.count;
-            for (std::size_t a = 0; a < 3; ++a) {
-                const std::int64_t origin = std::int64_t(a == 0   ? key.x
-                                                         : a == 1 ? key.y
-                                                                  : key.z) *
-                                            shape.edge_cells;
-                found.box.begin[a] = origin + voxels.begin[a];
-                found.box.end[a] = origin + voxels.end[a];
-            }
-            active_.include(found);
-        }
-        if (uniform && active.at(0, 0, 0) == 0 && node.constant == info.background) {
+        bool uniform = oneValue(active, shape);
+        for (std::size_t c = 0; c < settings_.components() && uniform; ++c)
+            visitBase(c, slot, [&]<class T>(SampleCube<T> samples) {
+                uniform = oneValue(samples, shape);
+                std::memcpy(&node.constant.emplace_back(0), samples.first, sizeof(T));
+            });
+        if (uniform && !node.states_active && node.constant == settings_.info().background) {
             node.constant.clear();
             continue;
         }
+
+        ActiveSummary found;
+        const auto include = [&](double min, double max) {
+            found.min = found.any ? std::min(found.min, min) : min;
+            found.max = found.any ? std::max(found.max, max) : max;
+            found.any = true;
+        };
         node.kind = uniform ? NodeKind::kUniform : NodeKind::kSampled;
-        if (!uniform) node.constant.clear();
         node.record.active = uniform && node.states_active;
         if (uniform) {
             describeUniform(node);
-            continue;
+            for (std::size_t c = 0; c < settings_.components(); ++c)
+                include(valueOf(node, c), valueOf(node, c));
+        } else {
+            node.constant.clear();
+            for (std::size_t c = 0; c < settings_.components(); ++c)
+                visitBase(c, slot, [&](auto samples) {
+                    const OwnedRange owned =
+                        describeSamples(samples, shape, settings_.background[c], c == 0, node.record);
+                    if (voxels.count == shape.cells())
+                        include(owned.min, owned.max);
+                    else if (voxels.count > 0)
+                        includeActive(samples, active, shape, found.any, found.min, found.max);
+                });
         }
-        for (std::size_t c = 0; c < settings_.components(); ++c)
-            visitBase(c, slot, [&](auto samples) {
-                describeSamples(samples, shape, settings_.background[c], c == 0, node.record);
-            });
+        if (voxels.count == 0) continue;
+        found.voxels = voxels.count;
+        const IndexBox region = closedRegion(keyOf(0, slot), shape);
+        for (std::size_t a = 0; a < 3; ++a) {
+            found.box.begin[a] = region.begin[a] + voxels.begin[a];
+            found.box.end[a] = region.begin[a] + voxels.end[a];
+        }
+        active_.include(found);
     }
 }
 

@@ -7,6 +7,7 @@
 
 #include "core/lorenzo.h"
 #include "core/payload_stream.h"
+#include "core/vector_clones.h"
 
 namespace brickyard {
 namespace {
@@ -40,6 +41,18 @@ std::vector<W> lessPrevious(const std::vector<W>& words, std::size_t components)
     return out;
 }
 
+#define BRICKYARD_FLAG_OTHERS(W)                                                   \
+    BRICKYARD_VECTOR_CLONES                                                        \
+    void flag(const W* words, std::size_t samples, W other, std::uint8_t* flags) { \
+        for (std::size_t i = 0; i < samples; ++i)                                  \
+            flags[i] = std::uint8_t(flags[i] | std::uint8_t(words[i] != other));   \
+    }
+BRICKYARD_FLAG_OTHERS(std::uint8_t)
+BRICKYARD_FLAG_OTHERS(std::uint16_t)
+BRICKYARD_FLAG_OTHERS(std::uint32_t)
+BRICKYARD_FLAG_OTHERS(std::uint64_t)
+#undef BRICKYARD_FLAG_OTHERS
+
 // The word of the samples that are not selected.
 template <class W>
 W fillerOf(const W* words, const Selection& selection) {
@@ -49,6 +62,28 @@ W fillerOf(const W* words, const Selection& selection) {
 }
 
 }  // namespace
+
+Selection selectFlagged(const std::vector<std::uint8_t>& flags) {
+    Selection selection;
+    const std::size_t samples = flags.size();
+    std::size_t count = 0;
+    for (std::uint8_t flag : flags) count += flag;
+    if (count == 0 || double(samples - count) < kLeastLeftOut * double(samples)) return selection;
+    selection.count = count;
+    selection.mask.resize(selectionBytes(samples));
+    for (std::size_t i = 0; i < samples; i += 8) {
+        unsigned bits = 0;
+        for (std::size_t k = 0; k < std::min<std::size_t>(8, samples - i); ++k)
+            bits |= unsigned(flags[i + k]) << k;
+        selection.mask[i / 8] = std::byte(std::uint8_t(bits));
+    }
+    return selection;
+}
+
+template <class W>
+void flagOthers(const W* words, std::size_t samples, W other, std::uint8_t* flags) {
+    flag(words, samples, other, flags);
+}
 
 // What the planes of words will take, about: their order-0 entropy in bytes, from a part of them. Compressing
 // with each predictor to see which is smaller would take most of a conversion's time.
@@ -143,6 +178,7 @@ PackedSection packWords(const Packing& packing, const std::vector<W>& words, Bri
 }
 
 #define BRICKYARD_INSTANTIATE(W)                                                                    \
+    template void flagOthers<W>(const W*, std::size_t, W, std::uint8_t*);                           \
     template double estimatedBytes<W>(const std::vector<W>&);                                       \
     template std::vector<W> selectedWords<W>(const std::vector<W>&, const Selection&, std::size_t); \
     template PackedSection packWords<W>(const Packing&, const std::vector<W>&, BrickShape, int);

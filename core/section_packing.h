@@ -43,20 +43,11 @@ struct Selection {
 // A mask costs up to a bit per sample and a reader's time: it has to leave out this part of them.
 inline constexpr double kLeastLeftOut = 1.0 / 16;
 
-// Where `keep(i)` is true, if that is worth it.
-template <class Keep>
-Selection select(std::size_t samples, Keep keep) {
-    Selection selection;
-    selection.mask.assign(selectionBytes(samples), std::byte{0});
-    for (std::size_t i = 0; i < samples; ++i)
-        if (keep(i)) {
-            selection.mask[i / 8] |= std::byte(std::uint8_t(1u << (i % 8)));
-            ++selection.count;
-        }
-    if (selection.count == 0 || double(samples - selection.count) < kLeastLeftOut * double(samples))
-        return {};
-    return selection;
-}
+// Samples that are flagged (one byte each, 0 or 1), if that is worth it.
+Selection selectFlagged(const std::vector<std::uint8_t>& flags);
+// Flags the samples that differ from `other`, beside those flagged already. W: std::uint8_t to std::uint64_t.
+template <class W>
+void flagOthers(const W* words, std::size_t samples, W other, std::uint8_t* flags);
 
 // How a section's words may be stored.
 struct Packing {

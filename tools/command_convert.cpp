@@ -1,5 +1,6 @@
 // `brickyard convert` and the hidden `brickyard probe-vdb`, which reads one file for it under limits.
 #include <fmt/format.h>
+#include <malloc.h>
 #include <sys/resource.h>
 
 #include <charconv>
@@ -142,7 +143,16 @@ void printReport(const ConvertArguments& arguments, const std::filesystem::path&
     fmt::print("{}\n", all.dump(2));
 }
 
+// What is freed is taken again at once: giving it back to the system in between costs a tenth of the time.
+void keepFreedMemory() {
+#ifdef __GLIBC__
+    ::mallopt(M_TRIM_THRESHOLD, 64 << 20);
+    ::mallopt(M_TOP_PAD, 4 << 20);
+#endif
+}
+
 int runConvert(const ConvertArguments& arguments) {
+    keepFreedMemory();
     ConversionOptions options;
     options.inputs.assign(arguments.paths.begin(), arguments.paths.end() - 1);
     options.output = arguments.paths.back();
