@@ -5,9 +5,6 @@
 #include <string>
 #include <vector>
 
-#include "core/field_source.h"
-#include "tools/importers/input_file.h"
-
 namespace brickyard {
 
 struct ComparisonEffort {
@@ -20,9 +17,5 @@ struct ComparisonEffort {
 // REQUIRES: libopenvdb survives the file.
 std::vector<std::string> differencesToOpenVdb(const std::filesystem::path& file,
                                               ComparisonEffort effort = {});
-
-// Asks for everything that a converter would: every field's regions from the top down, the boxes in them, the
-// info. Gives the errors that reads met.
-std::vector<Error> readEverything(const InputContents& contents, int most_boxes);
 
 }  // namespace brickyard

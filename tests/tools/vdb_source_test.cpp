@@ -10,6 +10,7 @@
 #include <algorithm>
 
 #include "frame_fixture.h"
+#include "read_everything.h"
 #include "sample_grids.h"
 #include "tools/importers/vdb_reader_guard.h"
 #include "vdb_comparison.h"
