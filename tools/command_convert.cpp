@@ -41,16 +41,6 @@ Result<std::pair<std::string, double>> parseErrorRequest(const std::string& text
     return std::pair(name, value);
 }
 
-std::vector<std::string> splitNames(const std::string& text) {
-    std::vector<std::string> names;
-    for (std::size_t begin = 0; begin <= text.size();) {
-        const std::size_t end = std::min(text.find(',', begin), text.size());
-        if (end > begin) names.push_back(text.substr(begin, end - begin));
-        begin = end + 1;
-    }
-    return names;
-}
-
 const char* typeName(const ChannelSummary& channel) {
     return toString(SampleType(int(channel.sample_type())));
 }

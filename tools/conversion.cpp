@@ -47,6 +47,7 @@ struct PlannedFrame {
 struct FrameFields {
     std::vector<std::unique_ptr<FieldSource>> fields;
     std::vector<std::filesystem::path> files;  // beside `fields`: where each came from
+    std::vector<MetadataEntry> metadata;       // of the first file
 };
 
 class Conversion {
@@ -160,6 +161,7 @@ private:
             input.probe_program = options_.probe_program;
             auto contents = openInput(file, input);
             if (!contents) return tl::unexpected(contents.error());
+            if (&file == &frame.inputs.files.front()) result.metadata = std::move(contents->metadata);
             for (const std::string& name : contents->names)
                 if (names.size() < 200) names += (names.empty() ? "" : ", ") + printableName(name);
             for (const SkippedGrid& grid : contents->skipped) {
@@ -233,12 +235,18 @@ private:
         if (!temporary) return tl::unexpected(temporary.error());
         auto output = FrameWriter::create(*temporary);
         if (!output) return tl::unexpected(output.error());
-        const auto footer = buildFrame(sources, options, **output);
+        auto footer = buildFrame(sources, options, **output);
         if (!footer) {
             // The builder knows channels, not files.
             if (footer.error().code != ErrorCode::kInvalid) return tl::unexpected(footer.error());
             return fail(footer.error().code,
                         fmt::format("{}: {}", frame.inputs.files[0].string(), footer.error().message));
+        }
+        for (const MetadataEntry& entry : contents->metadata) {
+            SourceMetadata& stored = *footer->add_metadata();
+            stored.set_name(entry.name);
+            stored.set_type(entry.type);
+            stored.set_value(entry.value);
         }
         const auto finished = (*output)->finish(*footer);
         if (!finished) return tl::unexpected(finished.error());

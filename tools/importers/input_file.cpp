@@ -16,6 +16,7 @@ Result<InputContents> openInput(const std::filesystem::path& file, const InputOp
     for (auto& field : contents->fields) result.fields.push_back(std::move(field));
     result.skipped = std::move(contents->skipped);
     result.names = std::move(contents->names);
+    result.metadata = std::move(contents->metadata);
     return result;
 }
 
