@@ -10,6 +10,7 @@
 #include "core/printable_name.h"
 #include "tools/command.h"
 #include "tools/field_reader.h"
+#include "tools/level_summary.h"
 #include "tools/progress_line.h"
 
 namespace brickyard {
@@ -22,53 +23,6 @@ struct InfoArguments {
     std::optional<std::uint32_t> frame;
     bool json = false;
 };
-
-// One level of one channel: its nodes, and how far its field lies from level 0.
-struct LevelSummary {
-    std::uint64_t nodes = 0, bricks = 0, payload_bytes = 0;
-    double rms = 0;    // root mean square over the level's inner nodes
-    double bound = 0;  // largest
-    double squares = 0;
-    std::uint64_t measured = 0;
-};
-
-Result<std::vector<LevelSummary>> summarizeLevels(const FieldReader& reader) {
-    std::vector<LevelSummary> levels(reader.channel().levels());
-    auto roots = reader.roots();
-    if (!roots) return tl::unexpected(roots.error());
-    std::vector<FieldNode> waiting = std::move(*roots);
-    // A sound tree has fewer nodes than its blocks can hold; a damaged one may refer to nodes again and
-    // again.
-    std::uint64_t left = 0;
-    for (const BlockRef& block : reader.channel().blocks()) left += block.raw_bytes();
-    while (!waiting.empty()) {
-        if (left-- == 0)
-            return fail(ErrorCode::kCorrupt,
-                        fmt::format("{}: the tree of channel '{}' refers to nodes twice; run verify",
-                                    reader.store().path().string(), printableName(reader.channel().name())));
-        const FieldNode node = std::move(waiting.back());
-        waiting.pop_back();
-        LevelSummary& level = levels[std::size_t(node.key.level)];
-        const NodeRecord& record = node.record();
-        ++level.nodes;
-        if (record.hasBrick()) {
-            ++level.bricks;
-            level.payload_bytes += record.payload_bytes;
-            level.squares += double(record.rms) * double(record.rms);
-            ++level.measured;
-            level.bound = std::max(level.bound, double(record.bound));
-        }
-        for (int octant = 0; octant < 8; ++octant) {
-            if (!(node.validMask() >> octant & 1)) continue;
-            auto child = reader.child(node, octant);
-            if (!child) return tl::unexpected(child.error());
-            waiting.push_back(std::move(*child));
-        }
-    }
-    for (LevelSummary& level : levels)
-        if (level.measured > 0) level.rms = std::sqrt(level.squares / double(level.measured));
-    return levels;
-}
 
 std::string typeText(const ChannelFooter& channel) {
     std::string text = toString(SampleType(int(channel.sample_type())));
