@@ -395,6 +395,12 @@ Result<ChannelFooter> ChannelBuilder::writeTree(FrameWriter& writer) {
     footer.set_vector_type(info.vector_type);
     footer.set_saved_as_half(info.saved_as_half);
     footer.set_source_type(info.source_type);
+    for (const MetadataEntry& entry : info.metadata) {
+        SourceMetadata& stored = *footer.add_metadata();
+        stored.set_name(entry.name);
+        stored.set_type(entry.type);
+        stored.set_value(entry.value);
+    }
     footer.set_error_bound(options_.max_error);
     footer.set_error_made(error_made_);
     footer.set_value_min(active_.min);

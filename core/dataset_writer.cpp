@@ -2,21 +2,24 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <sys/file.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
 #include <algorithm>
-#include <atomic>
 #include <cassert>
 #include <cerrno>
+#include <chrono>
 #include <cstdio>
 #include <map>
 #include <set>
+#include <thread>
+#include <vector>
 
 #include "core/dataset.h"
+#include "core/folder_lock.h"
 #include "core/io_error.h"
+#include "core/manifest_commit.h"
 
 namespace brickyard {
 namespace {
@@ -24,113 +27,38 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr const char* kFramesFolder = "frames";
-constexpr const char* kTemporaryPrefix = ".tmp-";
-// Beside the dataset: NAME.tmp-PID-N is being built or is litter; NAME.previous-PID-N is an old dataset on a
-// file system that cannot exchange two folders at once, and is put back if the new one never arrived.
+// Beside the dataset: NAME.tmp-PID-N@HOST is being built or is litter; NAME.previous-PID-N@HOST is an old
+// dataset on a file system that cannot exchange two folders at once, and is put back if the new one never
+// arrived.
 constexpr const char* kBuildInfix = ".tmp-";
 constexpr const char* kPreviousInfix = ".previous-";
 
-// A file descriptor that closes itself; a lock held through it ends with it, or with the process.
-class Descriptor {
-public:
-    Descriptor() = default;
-    explicit Descriptor(int value) : value_(value) {}
-    Descriptor(Descriptor&& other) noexcept : value_(std::exchange(other.value_, -1)) {}
-    Descriptor& operator=(Descriptor&& other) noexcept {
-        std::swap(value_, other.value_);
-        return *this;
-    }
-    ~Descriptor() {
-        if (value_ >= 0) ::close(value_);
-    }
-    int get() const { return value_; }
-    explicit operator bool() const { return value_ >= 0; }
-
-private:
-    int value_ = -1;
-};
-
-bool lock(const Descriptor& descriptor, int how) {
-    while (::flock(descriptor.get(), how) != 0)
-        if (errno != EINTR) return false;
-    return true;
-}
-
-// Whether `path` still names what is open: between open and lock someone else may have replaced or removed
-// it.
-bool stillNames(const fs::path& path, const Descriptor& descriptor) {
-    struct stat opened{}, named{};
-    return ::fstat(descriptor.get(), &opened) == 0 && ::lstat(path.c_str(), &named) == 0 &&
-           opened.st_ino == named.st_ino && opened.st_dev == named.st_dev;
-}
-
-Result<Descriptor> lockFolder(const fs::path& folder) {
-    for (;;) {
-        Descriptor descriptor(::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
-        if (!descriptor) return ioError("open", folder, errno);
-        if (!lock(descriptor, LOCK_EX)) return ioError("lock", folder, errno);
-        if (stillNames(folder, descriptor)) return descriptor;
-    }
-}
-
-// A rename is only as durable as the folder that records it.
-Result<void> syncFolder(const fs::path& folder) {
-    const Descriptor descriptor(::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
-    if (!descriptor) return ioError("open", folder, errno);
-    // Some file systems cannot sync folders and say so; they have nothing to sync.
-    if (::fsync(descriptor.get()) != 0 && errno != EINVAL) return ioError("sync", folder, errno);
-    return {};
-}
-
-Result<void> writeSynced(const fs::path& file, const std::string& text) {
-    const Descriptor descriptor(::open(file.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644));
-    if (!descriptor) return ioError("create", file, errno);
-    for (std::size_t at = 0; at < text.size();) {
-        const ssize_t written = ::write(descriptor.get(), text.data() + at, text.size() - at);
-        if (written < 0 && errno == EINTR) continue;
-        if (written < 0) return ioError("write", file, errno);
-        at += std::size_t(written);
-    }
-    if (::fsync(descriptor.get()) != 0) return ioError("sync", file, errno);
-    return {};
-}
-
-std::string freshSuffix() {
-    static std::atomic<unsigned> count{0};
-    return fmt::format("{}-{}", ::getpid(), count++);
-}
-
-// REQUIRES: the folder's lock is held, or nobody else knows the folder yet.
-Result<void> replaceManifest(const fs::path& folder, const Manifest& manifest) {
-    const fs::path temporary = folder / fmt::format("{}manifest-{}", kTemporaryPrefix, freshSuffix());
-    auto written = writeSynced(temporary, printManifest(manifest));
-    if (written && ::rename(temporary.c_str(), (folder / kManifestName).c_str()) != 0)
-        written = ioError("rename", temporary, errno);
-    if (!written) {
-        ::unlink(temporary.c_str());
-        return written;
-    }
-    return syncFolder(folder);
-}
-
-// Removes what no living writer holds: temporary frames, manifests and frame files that never got into the
-// manifest. REQUIRES: the folder's lock is held, so no frame is between its rename and the manifest.
-void removeLitter(const fs::path& folder, const Manifest& manifest) {
-    std::set<std::string> listed;
-    for (const FrameEntry& entry : manifest.frames()) listed.insert(entry.file());
+// Removes what no living writer has: temporary frames, manifests and frame files that never got into the
+// manifest.
+void removeLitter(const fs::path& folder) {
     std::error_code error;
-    for (const auto& entry : fs::directory_iterator(folder / kFramesFolder, error)) {
-        const std::string name = entry.path().filename();
-        if (name.starts_with(kTemporaryPrefix)) {
-            const Descriptor descriptor(::open(entry.path().c_str(), O_RDONLY | O_CLOEXEC | O_NOFOLLOW));
-            if (descriptor && lock(descriptor, LOCK_EX | LOCK_NB)) ::unlink(entry.path().c_str());
-        } else if (name.ends_with(".brk") && !listed.contains(fmt::format("{}/{}", kFramesFolder, name))) {
+    for (const auto& entry : fs::directory_iterator(folder / kFramesFolder, error))
+        if (entry.path().filename().string().starts_with(kTemporaryPrefix) && isAbandoned(entry.path()))
             ::unlink(entry.path().c_str());
-        }
+    // A frame that is about to be listed still has its temporary name, too. So one with a single name is
+    // listed in the newest manifest (which is read after that name was counted), or never will be.
+    std::vector<fs::path> single;
+    for (const auto& entry : fs::directory_iterator(folder / kFramesFolder, error)) {
+        struct stat status{};
+        if (entry.path().extension() == ".brk" && ::lstat(entry.path().c_str(), &status) == 0 &&
+            status.st_nlink == 1)
+            single.push_back(entry.path());
     }
-    // A manifest's temporary file lives under the folder's lock, which we hold.
+    if (const auto manifest = readNewestManifest(folder)) {
+        std::set<std::string> listed;
+        for (const FrameEntry& entry : manifest->frames()) listed.insert(entry.file());
+        for (const fs::path& file : single)
+            if (!listed.contains(fmt::format("{}/{}", kFramesFolder, file.filename().string())))
+                ::unlink(file.c_str());
+    }
     for (const auto& entry : fs::directory_iterator(folder, error))
-        if (entry.path().filename().string().starts_with(fmt::format("{}manifest-", kTemporaryPrefix)))
+        if (entry.path().filename().string().starts_with(fmt::format("{}manifest-", kTemporaryPrefix)) &&
+            isAbandoned(entry.path()))
             ::unlink(entry.path().c_str());
 }
 
@@ -145,7 +73,7 @@ fs::path parentOf(const fs::path& folder) {
 }
 
 fs::path siblingOf(const fs::path& folder, const char* infix) {
-    return parentOf(folder) / (folder.filename().string() + infix + freshSuffix());
+    return parentOf(folder) / (folder.filename().string() + infix + ownerSuffix());
 }
 
 // Datasets that a killed writer left beside the real one.
@@ -157,8 +85,7 @@ void removeStaleSiblings(const fs::path& folder) {
         const std::string name = entry.path().filename();
         const bool old = name.starts_with(previous);
         if ((!old && !name.starts_with(building)) || !entry.is_directory(error)) continue;
-        const Descriptor descriptor(::open(entry.path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
-        if (!descriptor || !lock(descriptor, LOCK_EX | LOCK_NB)) continue;
+        if (!isAbandoned(entry.path())) continue;
         if (old && !fs::exists(folder, error))
             fs::rename(entry.path(), folder, error);
         else
@@ -220,7 +147,10 @@ struct DatasetWriter::State {
             return ioError("create", build / kFramesFolder, errno);
         manifest = settings;
         manifest.clear_frames();
-        return replaceManifest(build, manifest);
+        manifest.set_generation(1);
+        auto committed = commitManifest(build, manifest);
+        if (!committed) return tl::unexpected(committed.error());
+        return {};
     }
 
     // Errors: kInvalid when somebody else made the folder meanwhile.
@@ -239,15 +169,51 @@ struct DatasetWriter::State {
         return syncFolder(parentOf(folder));
     }
 
-    // Reads the manifest as it is now, with the frames that other processes added. REQUIRES: the folder's
-    // lock.
+    // Reads the manifest as it is now, with the frames that other processes added.
     Result<void> reload() {
-        auto dataset = Dataset::open(build);
-        if (!dataset) return tl::unexpected(dataset.error());
-        manifest = dataset->manifest();
+        auto newest = readNewestManifest(build);
+        if (!newest) return tl::unexpected(newest.error());
+        manifest = std::move(*newest);
         return {};
     }
+
+    // Gives the file at `temporary` a free name as well. Both stay until the manifest has it, so that nobody
+    // takes it for litter.
+    Result<std::string> nameFrame(const fs::path& temporary, std::uint32_t frame) const {
+        std::set<std::string> taken;
+        for (const FrameEntry& other : manifest.frames()) taken.insert(other.file());
+        for (int generation = 0;; ++generation) {
+            const std::string file = generation == 0
+                                         ? fmt::format("{}/{:06}.brk", kFramesFolder, frame)
+                                         : fmt::format("{}/{:06}.{}.brk", kFramesFolder, frame, generation);
+            if (taken.contains(file)) continue;
+            if (::link(temporary.c_str(), (build / file).c_str()) == 0) return file;
+            if (errno == EEXIST) continue;
+            if (errno != EPERM && errno != ENOTSUP && errno != EOPNOTSUPP && errno != ENOSYS)
+                return ioError("link", build / file, errno);
+            // No links here: only the folder's lock keeps others from this name.
+            if (::rename(temporary.c_str(), (build / file).c_str()) != 0)
+                return ioError("rename", temporary, errno);
+            return file;
+        }
+    }
 };
+
+// Puts the entry where its number belongs; gives the file of the one it replaces, or nothing.
+static std::string insertFrame(Manifest& manifest, const FrameEntry& entry) {
+    auto& frames = *manifest.mutable_frames();
+    const auto place = std::find_if(frames.begin(), frames.end(),
+                                    [&](const FrameEntry& other) { return other.frame() >= entry.frame(); });
+    if (place != frames.end() && place->frame() == entry.frame()) {
+        const std::string replaced = place->file();
+        *place = entry;
+        return replaced;
+    }
+    const int index = int(place - frames.begin());
+    *frames.Add() = entry;
+    for (int i = frames.size() - 1; i > index; --i) frames.SwapElements(i, i - 1);
+    return {};
+}
 
 DatasetWriter::DatasetWriter(std::unique_ptr<State> state) : state_(std::move(state)) {}
 
@@ -305,7 +271,7 @@ Result<std::unique_ptr<DatasetWriter>> DatasetWriter::open(const fs::path& folde
                                 "--overwrite to start anew",
                                 s.folder.string(), difference));
     ::mkdir((s.build / kFramesFolder).c_str(), 0777);
-    removeLitter(s.build, s.manifest);
+    removeLitter(s.build);
     return writer;
 }
 
@@ -316,9 +282,12 @@ DatasetWriter::~DatasetWriter() {
     if (s.build_lock) {
         fs::remove_all(s.build, error);
     } else if (s.created) {
-        // Another process may have added frames to the folder that we made.
+        // Another process may have added frames to the folder that we made, or be about to: then it has files
+        // there, and the folder of frames does not go.
         const auto locked = lockFolder(s.folder);
-        if (locked && s.reload() && s.manifest.frames().empty()) fs::remove_all(s.folder, error);
+        if (locked && s.reload() && s.manifest.frames().empty() &&
+            ::rmdir((s.folder / kFramesFolder).c_str()) == 0)
+            fs::remove_all(s.folder, error);
     }
 }
 
@@ -327,12 +296,12 @@ const Manifest& DatasetWriter::manifest() const { return state_->manifest; }
 Result<fs::path> DatasetWriter::temporaryFrame(std::uint32_t frame) {
     for (;;) {
         fs::path path =
-            state_->build / kFramesFolder / fmt::format("{}{:06}-{}", kTemporaryPrefix, frame, freshSuffix());
+            state_->build / kFramesFolder / fmt::format("{}{:06}-{}", kTemporaryPrefix, frame, ownerSuffix());
         Descriptor descriptor(::open(path.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0644));
         if (!descriptor && errno == EEXIST) continue;
         if (!descriptor) return ioError("create", path, errno);
         // Between creation and lock it looked like litter, and may be gone.
-        if (!lock(descriptor, LOCK_EX | LOCK_NB) || !stillNames(path, descriptor)) continue;
+        if (tryLock(descriptor) == LockState::kTaken || !stillNames(path, descriptor)) continue;
         state_->temporaries.emplace(path, std::move(descriptor));
         return path;
     }
@@ -350,40 +319,38 @@ Result<void> DatasetWriter::commitFrame(const fs::path& temporary, FrameEntry en
 
     // A replaced frame keeps its file until the manifest means the new one, so the new one needs another
     // name.
-    std::set<std::string> taken;
-    for (const FrameEntry& other : s.manifest.frames()) taken.insert(other.file());
-    std::string file = fmt::format("{}/{:06}.brk", kFramesFolder, entry.frame());
-    for (int generation = 1; taken.contains(file); ++generation)
-        file = fmt::format("{}/{:06}.{}.brk", kFramesFolder, entry.frame(), generation);
-    entry.set_file(file);
-    if (::rename(temporary.c_str(), (s.build / file).c_str()) != 0)
-        return ioError("rename", temporary, errno);
-    s.temporaries.erase(held);
-    if (auto synced = syncFolder(s.build / kFramesFolder); !synced) return synced;
-
-    Manifest next = s.manifest;
-    auto& frames = *next.mutable_frames();
+    const auto file = s.nameFrame(temporary, entry.frame());
+    if (!file) return tl::unexpected(file.error());
+    entry.set_file(*file);
     std::string replaced;
-    const auto place = std::find_if(frames.begin(), frames.end(),
-                                    [&](const FrameEntry& other) { return other.frame() >= entry.frame(); });
-    if (place != frames.end() && place->frame() == entry.frame()) {
-        replaced = place->file();
-        *place = std::move(entry);
-    } else {
-        const int index = int(place - frames.begin());
-        *frames.Add() = std::move(entry);
-        for (int i = frames.size() - 1; i > index; --i) frames.SwapElements(i, i - 1);
-    }
-    if (auto written = replaceManifest(s.build, next); !written) {
-        // The failure may have come after the rename; what the manifest means must stay.
+    const auto commit = [&]() -> Result<void> {
+        if (auto synced = syncFolder(s.build / kFramesFolder); !synced) return synced;
+        for (;;) {
+            Manifest next = s.manifest;
+            next.set_generation(next.generation() + 1);
+            replaced = insertFrame(next, entry);
+            const auto committed = commitManifest(s.build, next);
+            if (!committed) return tl::unexpected(committed.error());
+            if (*committed) {
+                s.manifest = std::move(next);
+                return {};
+            }
+            // Somebody was faster; what they added must stay.
+            std::this_thread::sleep_for(std::chrono::milliseconds(1 + ::getpid() % 7));
+            if (auto loaded = s.reload(); !loaded) return loaded;
+        }
+    };
+    if (auto committed = commit(); !committed) {
+        // The failure may have come after the manifest was claimed; what it means must stay.
         const auto now = s.reload();
         const auto& entries = s.manifest.frames();
         if (now && std::none_of(entries.begin(), entries.end(),
-                                [&](const FrameEntry& other) { return other.file() == file; }))
-            ::unlink((s.build / file).c_str());
-        return written;
+                                [&](const FrameEntry& other) { return other.file() == *file; }))
+            ::unlink((s.build / *file).c_str());
+        return committed;
     }
-    s.manifest = std::move(next);
+    ::unlink(temporary.c_str());
+    s.temporaries.erase(held);
     if (!replaced.empty()) ::unlink((s.build / replaced).c_str());
     return {};
 }

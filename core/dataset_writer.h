@@ -1,8 +1,8 @@
 // Adds frames to a dataset folder so that a kill at any moment leaves the old state or the new: a frame is
-// written under a temporary name, synced, renamed, and only then entered into the manifest by an atomic
-// replace. Several processes may add frames to one folder: only the replace of the manifest is done under a
-// lock. Temporary files carry a lock while their writer lives; those without one are litter and are removed
-// at open.
+// written under a temporary name, synced, named, and only then entered into the manifest by an atomic
+// replace. Processes on any number of machines may add frames to one folder (manifest_commit.h); nothing is
+// locked while a frame is made. Temporary files carry a lock while their writer lives and the name of their
+// machine; abandoned ones (folder_lock.h) are removed at open.
 #pragma once
 
 #include <cstdint>

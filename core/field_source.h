@@ -33,7 +33,8 @@ struct ChannelInfo {
     std::string grid_class = "unknown";  // OpenVDB's words
     std::string vector_type;
     bool saved_as_half = false;
-    // The source's own integer type where it is narrower than `type` ("uint16"); else empty.
+    // The source's own type where `type` is wider than it ("uint16", or "mask" for states without values);
+    // else empty.
     std::string source_type;
     std::vector<MetadataEntry> metadata;  // in the source's order
 };

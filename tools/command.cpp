@@ -31,6 +31,16 @@ int suffixPower(std::string_view suffix) {
 
 }  // namespace
 
+std::vector<std::string> splitNames(const std::string& text) {
+    std::vector<std::string> names;
+    for (std::size_t begin = 0; begin <= text.size();) {
+        const std::size_t end = std::min(text.find(',', begin), text.size());
+        if (end > begin) names.push_back(text.substr(begin, end - begin));
+        begin = end + 1;
+    }
+    return names;
+}
+
 Result<std::uint64_t> parseSize(const std::string& text) {
     const auto invalid = [&](const char* why) {
         return fail(

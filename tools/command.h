@@ -4,6 +4,7 @@
 #include <CLI/CLI.hpp>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "core/result.h"
 
@@ -25,6 +26,9 @@ void addBenchCommand(CLI::App& app, int& status);
 
 // Prints "brickyard COMMAND: message" on stderr and gives kExitFailed.
 int reportError(const std::string& command, const Error& error);
+
+// "density,flame": the names between commas; empty ones are left out.
+std::vector<std::string> splitNames(const std::string& text);
 
 // "512M", "1.5G", "65536": bytes, powers of 1024. Errors: kInvalid.
 Result<std::uint64_t> parseSize(const std::string& text);

@@ -1,5 +1,6 @@
 // `brickyard convert` and the hidden `brickyard probe-vdb`, which reads one file for it under limits.
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <malloc.h>
 #include <sys/resource.h>
 
@@ -7,13 +8,16 @@
 #include <cmath>
 #include <cstdio>
 #include <nlohmann/json.hpp>
+#include <optional>
 
 #include "core/printable_name.h"
 #include "tools/command.h"
 #include "tools/conversion.h"
+#include "tools/frame_watch.h"
 #include "tools/importers/vdb_reader_guard.h"
 #include "tools/progress_line.h"
 #include "tools/raw_arguments.h"
+#include "tools/stop_signal.h"
 
 namespace brickyard {
 namespace {
@@ -27,7 +31,9 @@ struct ConvertArguments {
     RawArguments raw;
     int brick = kDefaultBrickEdge;
     unsigned jobs = 0;
-    bool append = false, overwrite = false, json = false;
+    bool append = false, overwrite = false, json = false, dry_run = false, watch = false;
+    std::optional<double> settle, idle;
+    std::optional<std::uint32_t> until_frame;
 };
 
 // "0.01" or "density=0.01". A channel's name may contain '=': the last one counts.
@@ -42,16 +48,6 @@ Result<std::pair<std::string, double>> parseErrorRequest(const std::string& text
         return fail(ErrorCode::kInvalid,
                     fmt::format("'{}' is no error; write a number from 0 up, or NAME=NUMBER", text));
     return std::pair(name, value);
-}
-
-std::vector<std::string> splitNames(const std::string& text) {
-    std::vector<std::string> names;
-    for (std::size_t begin = 0; begin <= text.size();) {
-        const std::size_t end = std::min(text.find(',', begin), text.size());
-        if (end > begin) names.push_back(text.substr(begin, end - begin));
-        begin = end + 1;
-    }
-    return names;
 }
 
 const char* typeName(const ChannelSummary& channel) {
@@ -151,6 +147,71 @@ void keepFreedMemory() {
 #endif
 }
 
+// The exit status that a shell gives a program ended by the signal.
+int reportStopped(const std::string& state) {
+    fmt::print(stderr, "brickyard convert: stopped; run the same command again, {}\n", state);
+    return 128 + StopSignal::received();
+}
+
+int runForecast(const ConvertArguments& arguments, const ConversionOptions& options) {
+    const auto forecast = brickyard::forecast(options);
+    if (StopSignal::received() != 0) return reportStopped("nothing was written");
+    if (!forecast) return reportError("convert", forecast.error());
+    if (arguments.json) {
+        const Json all{{"dataset", validUtf8(options.output.string())},
+                       {"dry_run", true},
+                       {"frames", forecast->frames},
+                       {"frames_done", forecast->frames_done},
+                       {"input_bytes", forecast->input_bytes},
+                       {"predicted_bytes", std::uint64_t(forecast->bytes)},
+                       {"predicted_seconds", forecast->seconds},
+                       {"sampled_frames", forecast->sampled_frames},
+                       {"sampled_share", forecast->sampled}};
+        fmt::print("{}\n", all.dump(2));
+        return kExitDone;
+    }
+    const std::uint32_t todo = forecast->frames - forecast->frames_done;
+    fmt::print("{}: {} frame{} to do{}: about {} from {}, in about {}\n", options.output.string(), todo,
+               todo == 1 ? "" : "s",
+               forecast->frames_done > 0 ? fmt::format(" ({} there already)", forecast->frames_done) : "",
+               describeBytes(std::uint64_t(forecast->bytes)), describeBytes(forecast->input_bytes),
+               describeSeconds(forecast->seconds));
+    if (todo > 0)
+        fmt::print("  from {:.0f} % of the bricks of frame{} {}; nothing was written\n",
+                   100 * forecast->sampled, forecast->sampled_frames.size() == 1 ? "" : "s",
+                   fmt::join(forecast->sampled_frames, ", "));
+    return kExitDone;
+}
+
+int runWatch(const ConvertArguments& arguments, const ConversionOptions& options) {
+    if (options.inputs.size() > 2)
+        return reportError("convert", {ErrorCode::kInvalid,
+                                       "--watch takes one folder and one pattern (quoted, or the shell makes "
+                                       "it many), then the dataset"});
+    WatchOptions watch;
+    watch.folder = options.inputs[0];
+    if (options.inputs.size() > 1) watch.pattern = options.inputs[1];
+    watch.settle = std::chrono::duration<double>(arguments.settle.value_or(2));
+    if (arguments.idle) watch.idle = std::chrono::duration<double>(*arguments.idle);
+    watch.until_frame = arguments.until_frame;
+    watch.tell = [](const std::string& line) { fmt::print(stderr, "brickyard convert: {}\n", line); };
+    const auto report = watchFrames(watch, options);
+    if (!report) return reportError("convert", report.error());
+    if (report->stopped) return reportStopped(fmt::format("{} frames were taken", report->converted));
+    if (report->failed > 0)
+        return reportError("convert",
+                           {ErrorCode::kCorrupt, fmt::format("{}: {} frames could not be taken; see above",
+                                                             watch.folder.string(), report->failed)});
+    if (arguments.json)
+        fmt::print("{}\n", Json{{"dataset", validUtf8(options.output.string())},
+                                {"frames_converted", report->converted}}
+                               .dump(2));
+    else
+        fmt::print("{}: {} frames taken from {}\n", options.output.string(), report->converted,
+                   watch.folder.string());
+    return kExitDone;
+}
+
 int runConvert(const ConvertArguments& arguments) {
     keepFreedMemory();
     ConversionOptions options;
@@ -181,8 +242,17 @@ int runConvert(const ConvertArguments& arguments) {
                        : arguments.overwrite ? ExistingDataset::kOverwrite
                                              : ExistingDataset::kContinue;
     options.note = [](const std::string& note) { fmt::print(stderr, "brickyard convert: {}\n", note); };
+    options.settle = std::chrono::duration<double>(arguments.settle.value_or(0));
+    const StopSignal listening;
+    options.stop = [] { return StopSignal::received() != 0; };
+    if (arguments.watch) return runWatch(arguments, options);
+    if (arguments.dry_run) return runForecast(arguments, options);
     const auto report = convert(options);
     if (!report) return reportError("convert", report.error());
+    if (report->stopped)
+        return reportStopped(arguments.overwrite ? fmt::format("{} is as it was", options.output.string())
+                                                 : fmt::format("{} of {} frames are done",
+                                                               report->frames.size(), report->planned));
     printReport(arguments, options.output, *report);
     return kExitDone;
 }
@@ -204,6 +274,34 @@ void addProbeCommand(CLI::App& app, int& status) {
         status = runVdbProbe(arguments->file, arguments->channels,
                              {arguments->memory, std::chrono::seconds(arguments->seconds)});
     });
+}
+
+void addWatchOptions(CLI::App& command, ConvertArguments& arguments, CLI::Option* overwrite) {
+    const CLI::Range seconds(0.0, 1e9);
+    command
+        .add_option("--settle", arguments.settle,
+                    "Take a file when its size and time have not changed for so long;\n"
+                    "default 0, with --watch 2")
+        ->check(seconds)
+        ->type_name("SECONDS");
+    CLI::Option* watch =
+        command
+            .add_flag(
+                "--watch", arguments.watch,
+                "Follow a simulation: --watch DIR [PATTERN] OUT.bricks takes each new frame of DIR when it\n"
+                "is complete, until interrupted, --until-frame or --idle")
+            ->excludes(overwrite);
+    command.add_option("--until-frame", arguments.until_frame, "End --watch when this frame is taken")
+        ->needs(watch)
+        ->type_name("N");
+    command.add_option("--idle", arguments.idle, "End --watch when nothing has changed for so long")
+        ->check(seconds)
+        ->needs(watch)
+        ->type_name("SECONDS");
+    command
+        .add_flag("--dry-run", arguments.dry_run,
+                  "Write nothing: predict size and time from a sample of the first, middle and last frame")
+        ->excludes(watch);
 }
 
 }  // namespace
@@ -266,9 +364,11 @@ void addConvertCommand(CLI::App& app, int& status) {
     addRawOptions(*command, arguments->raw);
     CLI::Option* append =
         command->add_flag("--append", arguments->append, "Add new frames to an existing dataset");
-    command
-        ->add_flag("--overwrite", arguments->overwrite, "Replace an existing dataset, in one step at the end")
-        ->excludes(append);
+    CLI::Option* overwrite = command
+                                 ->add_flag("--overwrite", arguments->overwrite,
+                                            "Replace an existing dataset, in one step at the end")
+                                 ->excludes(append);
+    addWatchOptions(*command, *arguments, overwrite);
     command->add_flag("--json", arguments->json, "Print a JSON object on stdout");
     command->callback([arguments, &status] { status = runConvert(*arguments); });
     addProbeCommand(app, status);

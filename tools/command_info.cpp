@@ -1,6 +1,8 @@
 // `brickyard info`: what a dataset holds, for a person or (--json) for a program.
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <charconv>
 #include <cmath>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -10,7 +12,10 @@
 #include "core/printable_name.h"
 #include "tools/command.h"
 #include "tools/field_reader.h"
+#include "tools/level_summary.h"
 #include "tools/progress_line.h"
+#include "tools/slice_picture.h"
+#include "tools/value_histogram.h"
 
 namespace brickyard {
 namespace {
@@ -20,55 +25,14 @@ using Json = nlohmann::ordered_json;
 struct InfoArguments {
     std::string dataset;
     std::optional<std::uint32_t> frame;
-    bool json = false;
+    std::string channels, slice, picture, range;
+    std::optional<int> level;
+    int bins = 16;
+    bool json = false, histogram = false;
 };
 
-// One level of one channel: its nodes, and how far its field lies from level 0.
-struct LevelSummary {
-    std::uint64_t nodes = 0, bricks = 0, payload_bytes = 0;
-    double rms = 0;    // root mean square over the level's inner nodes
-    double bound = 0;  // largest
-    double squares = 0;
-    std::uint64_t measured = 0;
-};
-
-Result<std::vector<LevelSummary>> summarizeLevels(const FieldReader& reader) {
-    std::vector<LevelSummary> levels(reader.channel().levels());
-    auto roots = reader.roots();
-    if (!roots) return tl::unexpected(roots.error());
-    std::vector<FieldNode> waiting = std::move(*roots);
-    // A sound tree has fewer nodes than its blocks can hold; a damaged one may refer to nodes again and
-    // again.
-    std::uint64_t left = 0;
-    for (const BlockRef& block : reader.channel().blocks()) left += block.raw_bytes();
-    while (!waiting.empty()) {
-        if (left-- == 0)
-            return fail(ErrorCode::kCorrupt,
-                        fmt::format("{}: the tree of channel '{}' refers to nodes twice; run verify",
-                                    reader.store().path().string(), printableName(reader.channel().name())));
-        const FieldNode node = std::move(waiting.back());
-        waiting.pop_back();
-        LevelSummary& level = levels[std::size_t(node.key.level)];
-        const NodeRecord& record = node.record();
-        ++level.nodes;
-        if (record.hasBrick()) {
-            ++level.bricks;
-            level.payload_bytes += record.payload_bytes;
-            level.squares += double(record.rms) * double(record.rms);
-            ++level.measured;
-            level.bound = std::max(level.bound, double(record.bound));
-        }
-        for (int octant = 0; octant < 8; ++octant) {
-            if (!(node.validMask() >> octant & 1)) continue;
-            auto child = reader.child(node, octant);
-            if (!child) return tl::unexpected(child.error());
-            waiting.push_back(std::move(*child));
-        }
-    }
-    for (LevelSummary& level : levels)
-        if (level.measured > 0) level.rms = std::sqrt(level.squares / double(level.measured));
-    return levels;
-}
+// A quick look decodes about so many bricks of a channel.
+constexpr std::uint64_t kQuickBricks = 512;
 
 std::string typeText(const ChannelFooter& channel) {
     std::string text = toString(SampleType(int(channel.sample_type())));
@@ -92,7 +56,56 @@ std::string sourcesText(const FrameEntry& entry) {
     return text.empty() ? "an unknown source" : text;
 }
 
-Result<void> printChannel(const FieldReader& reader) {
+// At most `width` characters, at least one where there is anything.
+std::string bar(double part, double whole, int width) {
+    if (!(part > 0) || !(whole > 0)) return {};
+    return std::string(std::size_t(std::clamp(std::lround(width * part / whole), 1l, long(width))), '#');
+}
+
+// The level that was asked for; else the finest that is quick to read, with --histogram the finest.
+int histogramLevel(const InfoArguments& arguments, const std::vector<LevelSummary>& levels) {
+    const int coarsest = std::max(int(levels.size()) - 1, 0);
+    if (arguments.level) return std::min(*arguments.level, coarsest);
+    if (arguments.histogram) return 0;
+    int level = 0;
+    while (level < coarsest && levels[std::size_t(level)].bricks > kQuickBricks) ++level;
+    return level;
+}
+
+void printLevels(const std::vector<LevelSummary>& levels) {
+    if (levels.empty()) return;
+    std::uint64_t most = 0;
+    for (const LevelSummary& level : levels) most = std::max(most, level.payload_bytes);
+    fmt::print("    level     nodes    bricks       bytes                      RMS error  largest error\n");
+    for (std::size_t l = 0; l < levels.size(); ++l) {
+        const LevelSummary& level = levels[l];
+        fmt::print("    {:>5} {:>9} {:>9} {:>11} {:<20} {:>10.4g} {:>14.4g}\n", l, level.nodes, level.bricks,
+                   describeBytes(level.payload_bytes), bar(double(level.payload_bytes), double(most), 20),
+                   level.rms, level.bound);
+    }
+}
+
+void printHistogram(const ValueHistogram& histogram) {
+    std::uint64_t most = 0;
+    double all = 0;
+    for (const std::uint64_t voxels : histogram.voxels) {
+        most = std::max(most, voxels);
+        all += double(voxels);
+    }
+    if (most == 0) return;
+    fmt::print(
+        "    values    active voxels{}\n",
+        histogram.level > 0 ? fmt::format(", from level {}; --histogram counts all", histogram.level) : "");
+    const double step = (histogram.highest - histogram.lowest) / double(histogram.voxels.size());
+    for (std::size_t i = 0; i < histogram.voxels.size(); ++i) {
+        const double voxels = double(histogram.voxels[i]);
+        fmt::print("    from {:>11.5g} {:>14} {:>6.2f} %{}{}\n", histogram.lowest + step * double(i),
+                   histogram.voxels[i], 100 * voxels / all, voxels > 0 ? "  " : "",
+                   bar(voxels, double(most), 40));
+    }
+}
+
+Result<void> printChannel(const FieldReader& reader, const InfoArguments& arguments) {
     const ChannelFooter& channel = reader.channel();
     const auto levels = summarizeLevels(reader);
     if (!levels) return tl::unexpected(levels.error());
@@ -106,15 +119,27 @@ Result<void> printChannel(const FieldReader& reader) {
                    : fmt::format("at most {:.6g}, made {:.6g}", channel.error_bound(), channel.error_made()));
     fmt::print("    stored     {} bricks, {}, {} level{}\n", channel.bricks(),
                describeBytes(channel.payload_bytes()), channel.levels(), channel.levels() == 1 ? "" : "s");
-    for (std::size_t l = 0; l < levels->size(); ++l) {
-        const LevelSummary& level = (*levels)[l];
-        fmt::print("      level {:<2} {:>7} nodes {:>7} bricks {:>10}   RMS error {:<10.4g} largest {:.4g}\n",
-                   l, level.nodes, level.bricks, describeBytes(level.payload_bytes), level.rms, level.bound);
-    }
+    printLevels(*levels);
+    const auto histogram = countValues(reader, histogramLevel(arguments, *levels), arguments.bins);
+    if (!histogram) return tl::unexpected(histogram.error());
+    printHistogram(*histogram);
     return {};
 }
 
-Result<void> printDataset(const Dataset& dataset, std::optional<std::uint32_t> chosen) {
+// Those that were named, else all.
+Result<std::vector<std::uint32_t>> chosenChannels(const BrickStore& store, const InfoArguments& arguments) {
+    std::vector<std::uint32_t> channels;
+    for (const std::string& name : splitNames(arguments.channels)) {
+        const auto found = findChannel(store, name);
+        if (!found) return tl::unexpected(found.error());
+        channels.push_back(*found);
+    }
+    if (arguments.channels.empty())
+        for (int c = 0; c < store.footer().channels_size(); ++c) channels.push_back(std::uint32_t(c));
+    return channels;
+}
+
+Result<void> printDataset(const Dataset& dataset, const InfoArguments& arguments) {
     const Manifest& manifest = dataset.manifest();
     std::uint64_t bytes = 0;
     for (const FrameEntry& entry : manifest.frames()) bytes += entry.file_bytes();
@@ -124,18 +149,20 @@ Result<void> printDataset(const Dataset& dataset, std::optional<std::uint32_t> c
                manifest.format_minor(), manifest.brick_edge(), printableName(manifest.writer()));
     fmt::print("  frames {}\n", describeFrames(manifest));
     if (manifest.frames().empty()) return {};
-    const std::uint32_t frame = chosen.value_or(manifest.frames(manifest.frames_size() - 1).frame());
+    const std::uint32_t frame = arguments.frame.value_or(manifest.frames(manifest.frames_size() - 1).frame());
     const auto store = dataset.openFrame(frame);
     if (!store) return tl::unexpected(store.error());
+    const auto channels = chosenChannels(**store, arguments);
+    if (!channels) return tl::unexpected(channels.error());
     const FrameEntry& entry = *dataset.findFrame(frame);
     fmt::print("frame {}: {}, {} channel{}, from {}\n", frame, describeBytes(entry.file_bytes()),
                entry.channels_size(), entry.channels_size() == 1 ? "" : "s", sourcesText(entry));
-    for (int c = 0; c < (*store)->footer().channels_size(); ++c)
-        if (auto printed = printChannel(FieldReader(*store, std::uint32_t(c))); !printed) return printed;
+    for (const std::uint32_t c : *channels)
+        if (auto printed = printChannel(FieldReader(*store, c), arguments); !printed) return printed;
     return {};
 }
 
-Result<Json> describeChannel(const FieldReader& reader) {
+Result<Json> describeChannel(const FieldReader& reader, const InfoArguments& arguments) {
     const ChannelFooter& channel = reader.channel();
     const auto levels = summarizeLevels(reader);
     if (!levels) return tl::unexpected(levels.error());
@@ -171,10 +198,16 @@ Result<Json> describeChannel(const FieldReader& reader) {
                                   {"payload_bytes", (*levels)[l].payload_bytes},
                                   {"rms_error", (*levels)[l].rms},
                                   {"largest_error", (*levels)[l].bound}});
+    const auto histogram = countValues(reader, histogramLevel(arguments, *levels), arguments.bins);
+    if (!histogram) return tl::unexpected(histogram.error());
+    json["histogram"] = {{"level", histogram->level},
+                         {"lowest", histogram->lowest},
+                         {"highest", histogram->highest},
+                         {"voxels", histogram->voxels}};
     return json;
 }
 
-Result<void> printJson(const Dataset& dataset, std::optional<std::uint32_t> chosen) {
+Result<void> printJson(const Dataset& dataset, const InfoArguments& arguments) {
     const Manifest& manifest = dataset.manifest();
     Json json{{"dataset", validUtf8(dataset.folder().string())},
               {"format", fmt::format("{}.{}", manifest.format_major(), manifest.format_minor())},
@@ -188,7 +221,7 @@ Result<void> printJson(const Dataset& dataset, std::optional<std::uint32_t> chos
     for (const FrameEntry& entry : manifest.frames()) {
         json["frame_numbers"].push_back(entry.frame());
         bytes += entry.file_bytes();
-        if (chosen && entry.frame() != *chosen) continue;
+        if (arguments.frame && entry.frame() != *arguments.frame) continue;
         const auto store = dataset.openFrame(entry.frame());
         if (!store) return tl::unexpected(store.error());
         Json frame{{"frame", entry.frame()},
@@ -199,8 +232,10 @@ Result<void> printJson(const Dataset& dataset, std::optional<std::uint32_t> chos
         for (const SourceFile& source : entry.sources())
             frame["sources"].push_back(
                 {{"name", source.name()}, {"bytes", source.bytes()}, {"modified_ns", source.modified_ns()}});
-        for (int c = 0; c < (*store)->footer().channels_size(); ++c) {
-            auto channel = describeChannel(FieldReader(*store, std::uint32_t(c)));
+        const auto channels = chosenChannels(**store, arguments);
+        if (!channels) return tl::unexpected(channels.error());
+        for (const std::uint32_t c : *channels) {
+            auto channel = describeChannel(FieldReader(*store, c), arguments);
             if (!channel) return tl::unexpected(channel.error());
             frame["channels"].push_back(std::move(*channel));
         }
@@ -211,13 +246,78 @@ Result<void> printJson(const Dataset& dataset, std::optional<std::uint32_t> chos
     return {};
 }
 
+// "0,1.5": two rising numbers.
+Result<std::array<double, 2>> parseRange(const std::string& text) {
+    std::array<double, 2> range{};
+    const char* const end = text.data() + text.size();
+    const auto low = std::from_chars(text.data(), end, range[0]);
+    if (low.ec == std::errc() && low.ptr != end && *low.ptr == ',') {
+        const auto high = std::from_chars(low.ptr + 1, end, range[1]);
+        if (high.ec == std::errc() && high.ptr == end && range[0] < range[1]) return range;
+    }
+    return fail(ErrorCode::kInvalid, fmt::format("'{}' is no range; write two rising numbers, LO,HI", text));
+}
+
+// What to show where nobody chose: density, or the first channel that has anything.
+std::uint32_t defaultChannel(const BrickStore& store) {
+    std::uint32_t first = 0;
+    for (int c = store.footer().channels_size() - 1; c >= 0; --c) {
+        if (store.footer().channels(c).active_voxels() == 0) continue;
+        first = std::uint32_t(c);
+        if (store.footer().channels(c).name() == "density") break;
+    }
+    return first;
+}
+
+Result<void> writeSlice(const Dataset& dataset, const InfoArguments& arguments) {
+    const Manifest& manifest = dataset.manifest();
+    if (manifest.frames().empty())
+        return fail(ErrorCode::kNotFound, fmt::format("{}: has no frames; convert some", arguments.dataset));
+    const std::uint32_t frame = arguments.frame.value_or(manifest.frames(manifest.frames_size() - 1).frame());
+    const auto store = dataset.openFrame(frame);
+    if (!store) return tl::unexpected(store.error());
+    const auto channels = chosenChannels(**store, arguments);
+    if (!channels) return tl::unexpected(channels.error());
+    if (channels->empty())
+        return fail(ErrorCode::kNotFound,
+                    fmt::format("{}: frame {} has no channels", arguments.dataset, frame));
+    const FieldReader reader(*store,
+                             arguments.channels.empty() ? defaultChannel(**store) : channels->front());
+    // Checked when the command line was parsed.
+    SliceRequest request = *parseSlice(arguments.slice);
+    request.level = arguments.level;
+    if (!arguments.range.empty()) request.range = *parseRange(arguments.range);
+    const auto slice = brickyard::writeSlice(reader, request, arguments.picture);
+    if (!slice) return tl::unexpected(slice.error());
+    if (arguments.json) {
+        const Json json{{"file", validUtf8(arguments.picture)},
+                        {"frame", frame},
+                        {"channel", reader.channel().name()},
+                        {"slice", arguments.slice},
+                        {"level", slice->level},
+                        {"width", slice->width},
+                        {"height", slice->height},
+                        {"first_voxel", slice->box.begin},
+                        {"range", slice->range},
+                        {"colors", slice->diverging ? "diverging" : "grey"}};
+        fmt::print("{}\n", json.dump(2));
+        return {};
+    }
+    fmt::print("{}: {} x {} pixels, frame {}, channel '{}', {}, level {}, {} {:.6g} .. {:.6g}\n",
+               arguments.picture, slice->width, slice->height, frame, printableName(reader.channel().name()),
+               arguments.slice, slice->level, slice->diverging ? "blue, white, red" : "black to white",
+               slice->range[0], slice->range[1]);
+    return {};
+}
+
 Result<void> runInfo(const InfoArguments& arguments) {
     const auto dataset = Dataset::open(arguments.dataset);
     if (!dataset) return tl::unexpected(dataset.error());
     if (arguments.frame && !dataset->findFrame(*arguments.frame))
         return fail(ErrorCode::kNotFound, fmt::format("{}: has no frame {}; it has {}", arguments.dataset,
                                                       *arguments.frame, describeFrames(dataset->manifest())));
-    return arguments.json ? printJson(*dataset, arguments.frame) : printDataset(*dataset, arguments.frame);
+    if (!arguments.slice.empty()) return writeSlice(*dataset, arguments);
+    return arguments.json ? printJson(*dataset, arguments) : printDataset(*dataset, arguments);
 }
 
 }  // namespace
@@ -232,6 +332,37 @@ void addInfoCommand(CLI::App& app, int& status) {
         ->add_option("--frame", arguments->frame,
                      "Which frame to describe in detail; default the last, with --json all")
         ->type_name("F");
+    command->add_option("--channel", arguments->channels, "Only these channels, separated by commas")
+        ->type_name("A,B");
+    command->add_flag("--histogram", arguments->histogram,
+                      "Count all voxels of level 0 (or --level); default a level that is quick to read");
+    command
+        ->add_option("--level", arguments->level,
+                     "Level of the histogram or the slice; default one that is quick, or fits")
+        ->check(CLI::Range(0, int(kMaxLevel)))
+        ->type_name("L");
+    command->add_option("--bins", arguments->bins, "Bins of the histogram")
+        ->check(CLI::Range(1, 4096))
+        ->type_name("N")
+        ->capture_default_str();
+    const auto valid = [](const auto& parsed) { return parsed ? std::string() : parsed.error().message; };
+    CLI::Option* slice =
+        command
+            ->add_option("--slice", arguments->slice,
+                         "Write a plane of one channel as a PNG: x=, y= or z= and a voxel of level 0.\n"
+                         "One pixel a voxel; of a z slice x points right and y up")
+            ->check([valid](const std::string& text) { return valid(parseSlice(text)); })
+            ->type_name("z=40");
+    CLI::Option* output = command->add_option("-o,--output", arguments->picture, "The picture to write")
+                              ->needs(slice)
+                              ->type_name("OUT.png");
+    slice->needs(output);
+    command
+        ->add_option("--range", arguments->range,
+                     "Values that are black and white; default the channel's range. Both signs: blue to red")
+        ->check([valid](const std::string& text) { return valid(parseRange(text)); })
+        ->needs(slice)
+        ->type_name("LO,HI");
     command->add_flag("--json", arguments->json, "Print a JSON object on stdout");
     command->callback([arguments, &status] {
         const auto printed = runInfo(*arguments);

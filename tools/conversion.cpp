@@ -1,52 +1,43 @@
 #include "tools/conversion.h"
 
 #include <fmt/format.h>
-#include <sys/stat.h>
 
 #include <algorithm>
-#include <cerrno>
 #include <chrono>
+#include <thread>
 
 #include "core/dataset.h"
-#include "core/io_error.h"
 #include "core/printable_name.h"
+#include "tools/frame_forecast.h"
 #include "tools/frame_plan.h"
 #include "tools/importers/input_file.h"
 #include "tools/progress_line.h"
+#include "tools/source_identity.h"
+#include "tools/stoppable_field.h"
 #include "tools/worker_pool.h"
 
 namespace brickyard {
 namespace {
 
-Result<SourceFile> describeSource(const std::filesystem::path& file) {
-    struct stat status{};
-    if (::stat(file.c_str(), &status) != 0) return ioError("open", file, errno);
-    SourceFile source;
-    source.set_name(validUtf8(file.filename().string()));
-    source.set_bytes(std::uint64_t(status.st_size));
-    source.set_modified_ns(std::int64_t(status.st_mtim.tv_sec) * 1'000'000'000 + status.st_mtim.tv_nsec);
-    return source;
-}
-
-template <class Sources>
-std::vector<std::string> sourceKeys(const Sources& sources) {
-    std::vector<std::string> keys;
-    for (const SourceFile& source : sources)
-        keys.push_back(fmt::format("{} {} {}", source.name(), source.bytes(), source.modified_ns()));
-    std::sort(keys.begin(), keys.end());
-    return keys;
-}
-
 struct PlannedFrame {
     FrameInputs inputs;
     std::vector<SourceFile> sources;
-    bool done = false;  // there already, from the same sources
+    bool done = false;    // there already, from the same sources
+    bool settled = true;  // nobody has changed it for a while
 };
 
 // One frame's fields, and what stands beside them in its files.
 struct FrameFields {
     std::vector<std::unique_ptr<FieldSource>> fields;
     std::vector<std::filesystem::path> files;  // beside `fields`: where each came from
+    std::vector<MetadataEntry> metadata;       // of the first file
+};
+
+// What the builder is given for a frame.
+struct FrameBuild {
+    std::vector<std::unique_ptr<StoppableField>> fields;
+    std::vector<const FieldSource*> sources;
+    std::vector<BuildOptions> options;
 };
 
 class Conversion {
@@ -60,25 +51,80 @@ public:
         if (auto checked = compareWithExisting((*writer)->manifest()); !checked)
             return tl::unexpected(checked.error());
 
-        std::uint64_t done_bytes = 0;
-        for (const PlannedFrame& frame : frames_) {
-            if (!frame.done) {
-                if (auto converted = convertFrame(frame, **writer, done_bytes); !converted)
-                    return tl::unexpected(converted.error());
-                ++report_.converted;
+        for (const PlannedFrame& frame : frames_)
+            if (!frame.done) todo_bytes_ += bytesOf(frame), ++todo_frames_;
+        for (PlannedFrame& frame : frames_) {
+            if (frame.done) continue;
+            if (stopped()) break;
+            if (auto settled = awaitSettled(frame); !settled) return tl::unexpected(settled.error());
+            if (!frame.settled) continue;
+            if (auto converted = convertFrame(frame, **writer); !converted) {
+                // Whatever it says, it says because it was to stop.
+                if (stopped()) break;
+                return tl::unexpected(converted.error());
             }
-            done_bytes += bytesOf(frame);
+            ++report_.converted;
+            done_bytes_ += bytesOf(frame);
         }
+        report_.stopped = stopped();
+        report_.planned = std::uint32_t(frames_.size());
         for (const PlannedFrame& frame : frames_)
             for (const FrameEntry& entry : (*writer)->manifest().frames())
                 if (entry.frame() == frame.inputs.frame) report_.frames.push_back(entry);
-        if (auto finished = (*writer)->finish(); !finished) return tl::unexpected(finished.error());
+        if (!report_.stopped)
+            if (auto finished = (*writer)->finish(); !finished) return tl::unexpected(finished.error());
         report_.input_bytes = total_bytes_;
         report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - started_).count();
         return report_;
     }
 
+    Result<ConversionForecast> forecast() {
+        if (auto planned = plan(); !planned) return tl::unexpected(planned.error());
+        if (options_.existing != ExistingDataset::kOverwrite)
+            if (const auto dataset = Dataset::open(options_.output))
+                if (auto checked = compareWithExisting(dataset->manifest()); !checked)
+                    return tl::unexpected(checked.error());
+        ConversionForecast result;
+        std::vector<const PlannedFrame*> todo;
+        for (const PlannedFrame& frame : frames_) {
+            ++result.frames;
+            result.frames_done += frame.done;
+            if (frame.done) continue;
+            todo.push_back(&frame);
+            result.input_bytes += bytesOf(frame);
+        }
+        std::vector<std::size_t> chosen;
+        for (const std::size_t i : {std::size_t(0), todo.size() / 2, todo.size() - 1})
+            if (i < todo.size() && (chosen.empty() || chosen.back() < i)) chosen.push_back(i);
+        std::uint64_t read_bytes = 0;
+        for (const std::size_t i : chosen) {
+            const PlannedFrame& frame = *todo[i];
+            progress_.show(fmt::format("sampling frame {}", frame.inputs.frame), 0, read_bytes);
+            const auto started = std::chrono::steady_clock::now();
+            auto contents = readFrame(frame);
+            if (!contents) return tl::unexpected(contents.error());
+            result.seconds +=
+                std::chrono::duration<double>(std::chrono::steady_clock::now() - started).count();
+            FrameBuild build = prepareBuild(*contents, nullptr);
+            const auto frame_forecast = forecastFrame(build.sources, build.options);
+            if (stopped()) return result;
+            if (!frame_forecast) return tl::unexpected(frame_forecast.error());
+            result.seconds += frame_forecast->seconds;
+            result.bytes += frame_forecast->bytes;
+            result.sampled += frame_forecast->sampled / double(chosen.size());
+            result.sampled_frames.push_back(frame.inputs.frame);
+            read_bytes += bytesOf(frame);
+        }
+        // Frames between them are like them, by the size of their files.
+        const double scale = double(result.input_bytes) / double(std::max<std::uint64_t>(read_bytes, 1));
+        result.bytes *= scale;
+        result.seconds *= scale;
+        return result;
+    }
+
 private:
+    bool stopped() const { return options_.stop && options_.stop(); }
+
     static std::uint64_t bytesOf(const PlannedFrame& frame) {
         std::uint64_t bytes = 0;
         for (const SourceFile& source : frame.sources) bytes += source.bytes();
@@ -171,6 +217,7 @@ private:
             input.probe_program = options_.probe_program;
             auto contents = openInput(file, input);
             if (!contents) return tl::unexpected(contents.error());
+            if (&file == &frame.inputs.files.front()) result.metadata = std::move(contents->metadata);
             for (const std::string& name : contents->names)
                 if (names.size() < 200) names += (names.empty() ? "" : ", ") + printableName(name);
             for (const SkippedGrid& grid : contents->skipped) {
@@ -215,43 +262,108 @@ private:
         return result;
     }
 
-    Result<void> convertFrame(const PlannedFrame& frame, DatasetWriter& writer, std::uint64_t done_bytes) {
-        const std::string label = fmt::format("frame {}", frame.inputs.frame);
-        const double share = double(bytesOf(frame)) / double(std::max<std::uint64_t>(total_bytes_, 1));
-        const double before = double(done_bytes) / double(std::max<std::uint64_t>(total_bytes_, 1));
-        progress_.show(label + ", reading", before, done_bytes);
-        auto contents = readFrame(frame);
-        if (!contents) return tl::unexpected(contents.error());
+    // Leaves a frame that somebody still writes for the next time, and takes note of it as it is now.
+    Result<void> awaitSettled(PlannedFrame& frame) {
+        using Clock = std::chrono::system_clock;
+        if (options_.settle.count() <= 0) return {};
+        const auto look = [&]() -> Result<std::vector<SourceFile>> {
+            std::vector<SourceFile> sources;
+            for (const auto& file : frame.inputs.files) {
+                auto source = describeSource(file);
+                if (!source) return tl::unexpected(source.error());
+                sources.push_back(std::move(*source));
+            }
+            return sources;
+        };
+        auto before = look();
+        if (!before) return tl::unexpected(before.error());
+        // The file server's clock may differ from ours: an age is believed only where it is one.
+        bool old = true;
+        for (const SourceFile& source : *before) {
+            const auto age = Clock::now().time_since_epoch() - std::chrono::nanoseconds(source.modified_ns());
+            old = old && age > options_.settle;
+        }
+        if (!old) {
+            progress_.show(fmt::format("frame {}, waiting whether it is complete", frame.inputs.frame), 0, 0);
+            const auto begun = std::chrono::steady_clock::now();
+            while (!stopped() && std::chrono::steady_clock::now() - begun < options_.settle)
+                std::this_thread::sleep_for(std::chrono::milliseconds(20));
+            const auto after = look();
+            if (!after) return tl::unexpected(after.error());
+            frame.settled = sourceKeys(*before) == sourceKeys(*after);
+        }
+        if (!frame.settled && options_.note)
+            options_.note(fmt::format("frame {}: {} is still being written; it is left for the next run",
+                                      frame.inputs.frame, frame.inputs.files[0].string()));
+        frame.sources = std::move(*before);
+        return {};
+    }
 
-        std::vector<const FieldSource*> sources;
-        std::vector<BuildOptions> options;
-        for (const auto& field : contents->fields) {
-            sources.push_back(field.get());
-            BuildOptions& build = options.emplace_back();
+    // A frame of two halves of different files must not be kept.
+    static Result<void> checkUnchanged(const PlannedFrame& frame) {
+        if (sourceKeys(frame.inputs.files) == sourceKeys(frame.sources)) return {};
+        return fail(
+            ErrorCode::kInvalid,
+            fmt::format("{}: changed while it was read; run the same command again when it is complete",
+                        frame.inputs.files[0].string()));
+    }
+
+    FrameBuild prepareBuild(const FrameFields& contents,
+                            const std::function<void(std::size_t done, std::size_t total)>& progress) {
+        FrameBuild frame;
+        for (const auto& field : contents.fields) {
+            frame.fields.push_back(std::make_unique<StoppableField>(*field, options_.stop));
+            frame.sources.push_back(frame.fields.back().get());
+            BuildOptions& build = frame.options.emplace_back();
             build.shape.edge_cells = options_.brick_edge;
             const auto error = options_.channel_errors.find(field->info().name);
             build.max_error = error == options_.channel_errors.end() ? options_.max_error : error->second;
             build.nonfinite = options_.nonfinite;
             build.parallel_for = pool_.parallelFor();
             build.memory_bytes = options_.memory_bytes / 2;
-            build.progress = [&, this](std::size_t done, std::size_t total) {
-                const double part = total > 0 ? double(done) / double(total) : 1;
-                progress_.show(fmt::format("{}, chunk {} of {}", label, done, total), before + share * part,
-                               done_bytes + std::uint64_t(part * double(bytesOf(frame))));
-            };
+            build.progress = progress;
         }
+        return frame;
+    }
+
+    Result<void> convertFrame(const PlannedFrame& frame, DatasetWriter& writer) {
+        const std::string label =
+            fmt::format("frame {} ({} of {})", frame.inputs.frame, report_.converted + 1, todo_frames_);
+        // Of what is to do: frames that were there already say nothing of the speed.
+        const auto show = [&](const std::string& what, double part) {
+            const double bytes = double(done_bytes_) + part * double(bytesOf(frame));
+            progress_.show(label + what, bytes / double(std::max<std::uint64_t>(todo_bytes_, 1)),
+                           std::uint64_t(bytes));
+        };
+        show(", reading", 0);
+        auto contents = readFrame(frame);
+        if (!contents) {
+            // A file that changed under the reader is not broken.
+            if (auto unchanged = checkUnchanged(frame); !unchanged) return unchanged;
+            return tl::unexpected(contents.error());
+        }
+        FrameBuild build = prepareBuild(*contents, [&](std::size_t done, std::size_t total) {
+            show(fmt::format(", chunk {} of {}", done, total), total > 0 ? double(done) / double(total) : 1);
+        });
 
         const auto temporary = writer.temporaryFrame(frame.inputs.frame);
         if (!temporary) return tl::unexpected(temporary.error());
         auto output = FrameWriter::create(*temporary);
         if (!output) return tl::unexpected(output.error());
-        for (BuildOptions& build : options) build.scratch_folder = temporary->parent_path();
-        const auto footer = buildFrame(sources, options, **output);
+        for (BuildOptions& options : build.options) options.scratch_folder = temporary->parent_path();
+        auto footer = buildFrame(build.sources, build.options, **output);
+        if (auto unchanged = checkUnchanged(frame); !unchanged) return unchanged;
         if (!footer) {
             // The builder knows channels, not files.
             if (footer.error().code != ErrorCode::kInvalid) return tl::unexpected(footer.error());
             return fail(footer.error().code,
                         fmt::format("{}: {}", frame.inputs.files[0].string(), footer.error().message));
+        }
+        for (const MetadataEntry& entry : contents->metadata) {
+            SourceMetadata& stored = *footer->add_metadata();
+            stored.set_name(entry.name);
+            stored.set_type(entry.type);
+            stored.set_value(entry.value);
         }
         const auto finished = (*output)->finish(*footer);
         if (!finished) return tl::unexpected(finished.error());
@@ -272,6 +384,8 @@ private:
     std::chrono::steady_clock::time_point started_ = std::chrono::steady_clock::now();
     std::vector<PlannedFrame> frames_;
     std::uint64_t total_bytes_ = 0;
+    std::uint64_t todo_bytes_ = 0, done_bytes_ = 0;  // of the frames that this run converts
+    std::uint32_t todo_frames_ = 0;
     ConversionReport report_;
 };
 
@@ -307,5 +421,9 @@ ChannelSummary summarizeChannel(const ChannelFooter& channel) {
 }
 
 Result<ConversionReport> convert(const ConversionOptions& options) { return Conversion(options).run(); }
+
+Result<ConversionForecast> forecast(const ConversionOptions& options) {
+    return Conversion(options).forecast();
+}
 
 }  // namespace brickyard

@@ -107,7 +107,7 @@ TEST_F(DatasetWriterTest, LitterIsRemovedAndWhatALivingWriterHoldsIsNot) {
     writeFile(folder_ / ".tmp-manifest-1-1", "{");
     const auto second = open();
     EXPECT_EQ(listing(folder_ / "frames"), (std::vector<std::string>{held->filename(), "000001.brk"}));
-    EXPECT_EQ(listing(folder_), (std::vector<std::string>{"frames", "manifest.json"}));
+    EXPECT_EQ(listing(folder_), (std::vector<std::string>{".claim-2", "frames", "manifest.json"}));
     ASSERT_TRUE(living->commitFrame(*held, writeBallFrame(*held, 2, 5)));
     EXPECT_EQ(frames(), "1-2");
 }
@@ -116,6 +116,44 @@ TEST_F(DatasetWriterTest, TwoWritersLoseNothingOfEachOther) {
     const auto one = open(), two = open();
     for (std::uint32_t frame = 0; frame < 10; ++frame) add(frame % 2 ? *one : *two, frame);
     EXPECT_EQ(frames(), "0-9");
+}
+
+// As if a writer had been killed between its claim and the rename, or had been so slow that its rename came
+// last.
+TEST_F(DatasetWriterTest, AClaimedManifestIsTheDatasetsEvenIfItIsNotSeenYet) {
+    add(*open(), 1);
+    const std::string old = readFile(folder_ / "manifest.json");
+    add(*open(), 2);
+    add(*open(), 3);
+    fs::remove(folder_ / "manifest.json");
+    writeFile(folder_ / "manifest.json", old);
+    EXPECT_EQ(frames(), "1");
+    add(*open(), 4);
+    EXPECT_EQ(frames(), "1-4");
+}
+
+TEST_F(DatasetWriterTest, LitterOfAnotherMachineStaysForADay) {
+    add(*open(), 1);
+    const fs::path foreign = folder_ / "frames" / ".tmp-000003-1-1@elsewhere";
+    writeFile(foreign, "perhaps alive");
+    open();
+    EXPECT_TRUE(fs::exists(foreign));
+    fs::last_write_time(foreign, fs::file_time_type::clock::now() - std::chrono::hours(25));
+    open();
+    EXPECT_FALSE(fs::exists(foreign));
+}
+
+// A frame that another machine has named and is about to list.
+TEST_F(DatasetWriterTest, AFrameWithItsTemporaryNameIsNoLitter) {
+    add(*open(), 1);
+    const fs::path foreign = folder_ / "frames" / ".tmp-000003-1-1@elsewhere";
+    writeFile(foreign, "a frame");
+    fs::create_hard_link(foreign, folder_ / "frames" / "000003.brk");
+    const auto writer = open();
+    EXPECT_TRUE(fs::exists(folder_ / "frames" / "000003.brk"));
+    add(*writer, 3);
+    EXPECT_EQ(readFile(folder_ / "frames" / "000003.brk"), "a frame");
+    EXPECT_TRUE(Dataset::open(folder_)->openFrame(3));
 }
 
 TEST_F(DatasetWriterTest, AWriterThatFailsKeepsTheFramesOfAnother) {

@@ -173,13 +173,15 @@ TEST(ConvertCommand, SampleAndExportAnswerWhatVerifyAccepts) {
     const Outcome raw = brickyard(
         logs.path(), {"export", output, (scratch / "density.raw").string(), "--channel", "density"});
     ASSERT_EQ(raw.status, 0) << raw.err;
-    // "41x41x41 float32": the file has exactly these voxels.
+    // "--raw 41x41x41:float32": the file has exactly these voxels.
     unsigned nx = 0, ny = 0, nz = 0;
-    ASSERT_EQ(std::sscanf(raw.out.c_str() + raw.out.find(": ") + 2, "%ux%ux%u", &nx, &ny, &nz), 3) << raw.out;
+    ASSERT_EQ(std::sscanf(raw.out.c_str() + raw.out.find("--raw "), "--raw %ux%ux%u:float32", &nx, &ny, &nz),
+              3)
+        << raw.out;
     EXPECT_EQ(fs::file_size(scratch / "density.raw"), 4ull * nx * ny * nz);
-    const Outcome nvdb = brickyard(logs.path(), {"export", output, (scratch / "a.nvdb").string()});
-    EXPECT_EQ(nvdb.status, 1);
-    expectOneLine(nvdb.err);
+    const Outcome unknown = brickyard(logs.path(), {"export", output, (scratch / "a.abc").string()});
+    EXPECT_EQ(unknown.status, 1);
+    expectOneLine(unknown.err);
 }
 
 // Each converts and is then the same as its source, or is refused with one line.

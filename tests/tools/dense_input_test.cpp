@@ -106,7 +106,7 @@ void expectValues(const FieldSource& field, const RawFile& raw, const IndexBox& 
 
 class DenseInput : public testing::Test {
 protected:
-    CommandOutcome brickyard(const std::vector<std::string>& arguments) {
+    Outcome brickyard(const std::vector<std::string>& arguments) {
         return runCommand(logs_.path(), arguments);
     }
     std::string path(const std::string& name) const { return (scratch_ / name).string(); }

@@ -26,6 +26,7 @@ Result<InputContents> openVdbGuarded(const std::filesystem::path& file, const In
     for (auto& field : contents->fields) result.fields.push_back(std::move(field));
     result.skipped = std::move(contents->skipped);
     result.names = std::move(contents->names);
+    result.metadata = std::move(contents->metadata);
     return result;
 }
 

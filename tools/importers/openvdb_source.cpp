@@ -7,6 +7,7 @@
 
 #include "core/printable_name.h"
 #include "tools/importers/tree_field.h"
+#include "tools/importers/vdb_metadata.h"
 
 namespace brickyard {
 namespace {
@@ -113,6 +114,8 @@ Result<void> readGrid(openvdb::io::File& file, const std::string& grid_name, con
     info.saved_as_half = grid->saveFloatAsHalf();
     if (grid->valueType().starts_with("vec3"))
         info.vector_type = openvdb::GridBase::vecTypeToString(grid->getVectorType());
+    if (grid->isType<openvdb::MaskGrid>()) info.source_type = "mask";
+    info.metadata = gridMetadata(*grid, info);
     auto field = makeField<BRICKYARD_VDB_GRIDS>(grid, info);
     if (!field) return tl::unexpected(field.error());
     contents.fields.push_back(std::move(*field));
@@ -136,6 +139,7 @@ Result<VdbContents> readVdb(const std::filesystem::path& path, const std::vector
         // A delayed read would first copy the file into TMPDIR, and would meet its damage later.
         file.setCopyMaxBytes(0);
         file.open(/*delayLoad=*/false);
+        contents.metadata = fileMetadata(*file.getMetadata());
         std::set<std::string> used;
         for (auto it = file.beginName(); it != file.endName(); ++it) {
             const std::string name = channelName(file, *it, used);

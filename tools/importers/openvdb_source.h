@@ -27,7 +27,8 @@ public:
 struct VdbContents {
     std::vector<std::unique_ptr<VdbField>> fields;  // in the order of their names
     std::vector<SkippedGrid> skipped;
-    std::vector<std::string> names;  // of every grid, wanted or not
+    std::vector<std::string> names;       // of every grid, wanted or not
+    std::vector<MetadataEntry> metadata;  // of the file
 };
 
 // Reads the grids whose channel name is in `channels`; all where that is empty. Names are made unique as
