@@ -4,13 +4,13 @@
 
 namespace brickyard {
 
-std::vector<Error> readEverything(const InputContents& contents, int most_boxes, std::int64_t box_edge) {
+std::vector<Error> readEverything(const InputContents& contents, int most_boxes) {
     std::vector<Error> errors;
     for (const auto& field : contents.fields) {
         int boxes = 0;
         const std::function<void(const IndexBox&)> descend = [&](const IndexBox& box) {
             if (boxes >= most_boxes || field->uniformOver(box)) return;
-            if (box.extent(0) <= box_edge) {
+            if (box.extent(0) <= 32) {
                 ++boxes;
                 SampleBlock block;
                 if (auto read = field->read(box, block); !read) errors.push_back(read.error());

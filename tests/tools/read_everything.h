@@ -1,7 +1,6 @@
 // An input read to the end, for tests that only want to see how that goes.
 #pragma once
 
-#include <cstdint>
 #include <vector>
 
 #include "core/result.h"
@@ -10,7 +9,7 @@
 namespace brickyard {
 
 // Asks for everything that a converter would: of every field the regions from the top down, what is left as
-// boxes of `box_edge`^3 (at most so many of each field), and the info. Gives the errors that the reads met.
-std::vector<Error> readEverything(const InputContents& contents, int most_boxes, std::int64_t box_edge = 32);
+// boxes of 32^3 (at most so many of each field), and the info. Gives the errors that the reads met.
+std::vector<Error> readEverything(const InputContents& contents, int most_boxes);
 
 }  // namespace brickyard

@@ -32,8 +32,8 @@ Result<std::vector<MetadataEntry>> readVdbNotes(VdbCursor& cursor) {
     const auto count = cursor.number<std::uint32_t>();
     for (std::uint32_t i = 0; i < count && cursor.ok(); ++i) {
         MetadataEntry note;
-        note.name = cursor.string(kMaxNameBytes);
-        note.type = cursor.string(kMaxNameBytes);
+        note.name = validUtf8(cursor.string(kMaxNameBytes));
+        note.type = validUtf8(cursor.string(kMaxNameBytes));
         const auto length = cursor.number<std::uint32_t>();
         if (!cursor.ok()) break;
         if (note.name.empty()) return fail(ErrorCode::kCorrupt, "a metadata entry has no name");
