@@ -149,7 +149,6 @@ TEST_F(ConversionTest, ExportedGridsComeBackAsTheyWere) {
     ASSERT_EQ(std::system(command.c_str()), 0);
     const auto same = checkAgainst(options_.output, {exported}, serialFor, 1000, reading());
     ASSERT_TRUE(same) << same.error().message;
-    // A mask comes back as a bool grid: its values and states are the same.
     EXPECT_EQ(same->fault_count, 0u) << same->faults.front();
 }
 
