@@ -6,6 +6,7 @@
 #include <array>
 
 #include "tools/importers/byte_file.h"
+#include "tools/importers/nrrd_source.h"
 #include "tools/importers/openvdb_source.h"
 #include "tools/importers/raw_source.h"
 #include "tools/importers/vdb_reader_guard.h"
@@ -55,7 +56,7 @@ Result<InputContents> openInput(const std::filesystem::path& file, const InputOp
     switch (*format) {
         case InputFormat::kOpenVdb: return readOpenVdb(file, options);
         case InputFormat::kRaw: return readRaw(file, options);
-        case InputFormat::kNrrd:
+        case InputFormat::kNrrd: return readNrrd(file, options);
         case InputFormat::kNanoVdb: break;
     }
     return fail(ErrorCode::kUnsupported,
