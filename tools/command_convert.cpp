@@ -232,7 +232,7 @@ int runConvert(const ConvertArguments& arguments) {
     InputOptions raw;
     applyRawOptions(arguments.raw, raw);
     options.raw = raw.raw;
-    options.raw_name = raw.raw_name;
+    options.name = raw.name;
     options.raw_voxel_size = raw.raw_voxel_size;
     options.jobs = arguments.jobs;
     options.nonfinite = arguments.nonfinite == "zero"    ? NonFinite::kZero
@@ -312,7 +312,8 @@ void addConvertCommand(CLI::App& app, int& status) {
     command
         ->add_option(
             "paths", arguments->paths,
-            "INPUT... OUT: .vdb files or raw dumps, then the dataset folder to write, OUT.bricks.\n"
+            "INPUT... OUT: OpenVDB or NRRD files, or raw dumps, then the dataset folder to write, "
+            "OUT.bricks.\n"
             "The last digits of a file's name are its frame number; files of one number make one frame.\n"
             "A sequence may be a quoted pattern: 'plume.%04d.vdb', 'plume.####.vdb', 'plume.$F4.vdb' or\n"
             "'plume.*.vdb' is every file there is of it")

@@ -212,7 +212,7 @@ private:
             input.channels = options_.channels;
             input.memory_bytes = options_.memory_bytes / 4;
             input.raw = options_.raw;
-            input.raw_name = options_.raw_name;
+            input.name = options_.name;
             input.raw_voxel_size = options_.raw_voxel_size;
             input.probe_program = options_.probe_program;
             auto contents = openInput(file, input);

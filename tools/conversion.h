@@ -29,8 +29,8 @@ struct ConversionOptions {
     std::map<std::string, double> channel_errors;  // by channel name; wins over max_error
     int brick_edge = kDefaultBrickEdge;
     std::uint64_t memory_bytes = 0;  // what reading one file may take; 0: a multiple of its size
-    // Of raw dumps, as in InputOptions; an empty `raw`: the inputs are none.
-    std::string raw, raw_name;
+    // As in InputOptions; an empty `raw`: the inputs are no raw dumps.
+    std::string raw, name;
     std::array<double, 3> raw_voxel_size{1, 1, 1};
     unsigned jobs = 0;  // 0: one per hardware thread
     NonFinite nonfinite = NonFinite::kReject;

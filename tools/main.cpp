@@ -47,6 +47,11 @@ constexpr CommandEntry kCommands[] = {
     {"render", nullptr, "BRICKYARD_CLIENT"},
     {"compare", nullptr, "BRICKYARD_CLIENT"},
 #endif
+#ifdef BRICKYARD_WITH_OPENVDB
+    {"synth", addSynthCommand, "BRICKYARD_OPENVDB"},
+#else
+    {"synth", nullptr, "BRICKYARD_OPENVDB"},
+#endif
 #if defined(BRICKYARD_WITH_BENCH)
     {"bench", addBenchCommand, "BRICKYARD_BENCH"},
 #elif !defined(BRICKYARD_WITH_OPENVDB)

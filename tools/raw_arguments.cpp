@@ -55,14 +55,15 @@ void addRawOptions(CLI::App& command, RawArguments& arguments) {
         ->type_name("SIZE")
         ->needs(raw)
         ->check(checkedBy(parseVoxelSize));
-    command.add_option("--name", arguments.name, "Name of a raw dump's channel; default density")
-        ->type_name("NAME")
-        ->needs(raw);
+    command
+        .add_option("--name", arguments.name,
+                    "Name of the channel of a raw dump or NRRD file; default density")
+        ->type_name("NAME");
 }
 
 void applyRawOptions(const RawArguments& arguments, InputOptions& options) {
     options.raw = arguments.layout;
-    options.raw_name = arguments.name;
+    options.name = arguments.name;
     if (!arguments.voxel_size.empty()) options.raw_voxel_size = *parseVoxelSize(arguments.voxel_size);
 }
 

@@ -25,6 +25,7 @@ if(BRICKYARD_OPENVDB)
     # Not FindOpenVDB: it would link another Boost beside the one that libopenvdb was built with.
     find_package(TBB REQUIRED)
     find_package(ZLIB REQUIRED)
+    pkg_check_modules(blosc REQUIRED IMPORTED_TARGET blosc)
     find_package(Imath REQUIRED QUIET)  # aloud it complains of a Python library that nobody asked for
     find_library(OPENVDB_LIBRARY openvdb REQUIRED)
     find_path(OPENVDB_INCLUDE_DIR openvdb/version.h REQUIRED)

@@ -20,6 +20,7 @@ constexpr std::uint64_t kLeastMemory = std::uint64_t(16) << 20;
 constexpr std::int64_t kBandExtent = 64;
 // Edge of the pieces that smaller boxes share. One of three doubles a sample is 6 MiB: half of kLeastMemory.
 constexpr std::int64_t kChunkEdge = 64;
+constexpr std::size_t kChunkBytes = 4u << 20;
 // So few samples pay for no chunk.
 constexpr std::int64_t kTinyBox = 512;
 
@@ -84,7 +85,7 @@ public:
         };
         if (wholeFits())
             through(extents_, {});
-        else if (const std::int64_t length = bandLength(inside); length > 0)
+        else if (const std::int64_t length = bandLength(box, inside); length > 0)
             for (std::int64_t x = inside.begin[0] / length * length; x < inside.end[0]; x += length) {
                 IndexBox band = inside;
                 band.begin[0] = x;
@@ -101,9 +102,10 @@ private:
 
     // How long along x a band of the box's rows may be; 0 where it is not to be read as a band. Whole rows
     // where two bands fit, so that the next row of boxes does not wait for the last threads of this one.
-    std::int64_t bandLength(const IndexBox& box) const {
+    std::int64_t bandLength(const IndexBox& box, const IndexBox& inside) const {
+        // Judged by what was asked for: of the last boxes of a row little lies within the extents.
         if (box.extent(1) < kBandExtent || box.extent(2) < kBandExtent) return 0;
-        IndexBox across = box;
+        IndexBox across = inside;
         across.begin[0] = 0;
         across.end[0] = 1;
         const std::int64_t fits = std::int64_t(cache_.budgetBytes() / 2 / cache_.bytesOf(across));
@@ -135,13 +137,19 @@ private:
 
     template <class Through>
     void throughChunks(const IndexBox& inside, const Through& through) const {
-        const auto first = [&](std::size_t axis) { return inside.begin[axis] / kChunkEdge * kChunkEdge; };
-        for (std::int64_t z = first(2); z < inside.end[2]; z += kChunkEdge)
-            for (std::int64_t y = first(1); y < inside.end[1]; y += kChunkEdge)
-                for (std::int64_t x = first(0); x < inside.end[0]; x += kChunkEdge)
-                    through(
-                        intersect(extents_, {{x, y, z}, {x + kChunkEdge, y + kChunkEdge, z + kChunkEdge}}),
-                        IndexBox{});
+        const std::array<std::int64_t, 3> edge{chunkLength(), kChunkEdge, kChunkEdge};
+        const auto first = [&](std::size_t axis) { return inside.begin[axis] / edge[axis] * edge[axis]; };
+        for (std::int64_t z = first(2); z < inside.end[2]; z += edge[2])
+            for (std::int64_t y = first(1); y < inside.end[1]; y += edge[1])
+                for (std::int64_t x = first(0); x < inside.end[0]; x += edge[0])
+                    through(intersect(extents_, {{x, y, z}, {x + edge[0], y + edge[1], z + edge[2]}}),
+                            IndexBox{});
+    }
+    // Along x as far as kChunkBytes go, for fewer and longer reads.
+    std::int64_t chunkLength() const {
+        const std::size_t across =
+            std::size_t(kChunkEdge * kChunkEdge) * element_bytes_ * std::size_t(layout_.components);
+        return std::max<std::int64_t>(1, std::int64_t(kChunkBytes / across) / kChunkEdge) * kChunkEdge;
     }
 
     // `part` of a slab into the block of `box`. Errors: kUnsupported (a value that does not fit).

@@ -26,7 +26,7 @@ public:
 
     Result<void> into(ByteFile& out, std::uint64_t at, std::uint64_t bytes, bool many_members) {
         if (!ready_) return corrupt("cannot be unpacked");
-        if ((end_ - begin_) * kMaxRatio < bytes)
+        if (bytes / kMaxRatio > end_ - begin_)
             return corrupt(fmt::format("{} compressed bytes cannot hold the {} that its layout says",
                                        end_ - begin_, bytes));
         std::uint64_t done = 0;
@@ -90,7 +90,7 @@ bool isGzip(const ByteFile& file) {
 }
 
 Result<ByteFile> inflateGzip(const ByteFile& file, std::uint64_t begin, std::uint64_t bytes) {
-    if (begin > file.size() || (file.size() - begin) * kMaxRatio < bytes)
+    if (begin > file.size() || bytes / kMaxRatio > file.size() - begin)
         return fail(
             ErrorCode::kCorrupt,
             fmt::format("{}: {} compressed bytes cannot hold the {} that its layout says; check the layout",

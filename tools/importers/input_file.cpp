@@ -6,6 +6,7 @@
 #include <array>
 
 #include "tools/importers/byte_file.h"
+#include "tools/importers/nrrd_source.h"
 #include "tools/importers/openvdb_source.h"
 #include "tools/importers/raw_source.h"
 #include "tools/importers/vdb_reader_guard.h"
@@ -62,7 +63,7 @@ Result<InputContents> openInput(const std::filesystem::path& file, const InputOp
             return openVdbGuarded(file, options);
         }
         case InputFormat::kRaw: return readRaw(file, options);
-        case InputFormat::kNrrd:
+        case InputFormat::kNrrd: return readNrrd(file, options);
         case InputFormat::kNanoVdb: break;
     }
     return fail(ErrorCode::kUnsupported,

@@ -38,7 +38,7 @@ struct InputOptions {
     std::string raw;
     // Of a raw dump, which has neither.
     std::array<double, 3> raw_voxel_size{1, 1, 1};
-    std::string raw_name;  // empty: "density"
+    std::string name;  // of its channel, and of a NRRD file's; empty: "density"
     // The brickyard command that reads a file under limits where our own reader cannot (vdb_reader_guard.h);
     // empty: this program.
     std::filesystem::path probe_program;

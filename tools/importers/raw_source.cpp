@@ -48,7 +48,7 @@ Result<InputContents> readRaw(const std::filesystem::path& path, const InputOpti
     if (file->size() != whole) return wrongSize(*file, *layout, samples);
 
     ChannelInfo info;
-    info.name = options.raw_name.empty() ? "density" : validUtf8(options.raw_name);
+    info.name = options.name.empty() ? "density" : validUtf8(options.name);
     std::array<double, 16> columns{};
     for (std::size_t axis = 0; axis < 3; ++axis) {
         const double size = options.raw_voxel_size[axis];
