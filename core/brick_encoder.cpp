@@ -541,7 +541,7 @@ double rmsDeviation(const BrickToEncode& brick, std::span<const std::byte> decod
 void appendSection(const PackedSection& section, int components, std::uint8_t flags, PayloadActivity activity,
                    std::uint32_t mask_entry, std::vector<std::byte>& out) {
     ByteWriter writer(out);
-    writer.put(kPayloadVersion);
+    writer.put(section.selects ? kSelectingVersion : kPayloadVersion);
     if (section.selects) flags |= kSelectionFlag;
     if (section.selects_as_draft) flags |= kDraftSelectionFlag;
     writer.put(std::uint8_t(std::uint8_t(section.encoding) | flags));

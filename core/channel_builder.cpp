@@ -46,6 +46,7 @@ ChannelBuilder::ChannelBuilder(const FieldSource& source, FiniteField field, con
     settings_.field = &field_;
     settings_.buffers = &buffers;
     settings_.shape = options_.shape;
+    settings_.drafts = options_.drafts;
     // An identifier off by one is another identifier.
     settings_.max_error = options_.max_error = isFloating(info.type) ? options_.max_error : 0;
     for (ValueBits bits : info.background) settings_.background.push_back(toDouble(info.type, bits));

@@ -660,7 +660,7 @@ void Chunk::encodeFinest(std::size_t index, double parent_rms) {
     brick.active = active;
     brick.background = info.background;
     brick.max_error = settings_.max_error;
-    brick.draft_error = settings_.max_error == 0 ? kDraftShareOfParent * parent_rms : 0;
+    brick.draft_error = settings_.drafts && settings_.max_error == 0 ? kDraftShareOfParent * parent_rms : 0;
     EncodedBrick encoded = encodeBrick(brick);
     node.payload = std::move(encoded.payload);
     node.deviation = encoded.error_made;

@@ -24,6 +24,7 @@ struct ChunkSettings {
     const FiniteField* field = nullptr;
     BrickShape shape;
     double max_error = 0;  // as BuildOptions
+    bool drafts = true;    // as BuildOptions
     double scale = 1;      // keeps squared deviations in range
     std::vector<double> background;
     BufferPool* buffers = nullptr;

@@ -116,6 +116,8 @@ std::string settingsDifference(const Manifest& stored, const Manifest& wanted) {
     for (const std::string& difference :
          {differ("--brick", std::to_string(stored.brick_edge()), std::to_string(wanted.brick_edge())),
           differ("--error", describeErrors(stored), describeErrors(wanted)),
+          differ("drafts", stored.without_drafts() ? "off (--compact)" : "on",
+                 wanted.without_drafts() ? "off (--compact)" : "on"),
           differ("--nonfinite", stored.nonfinite(), wanted.nonfinite()),
           differ("--channel", describeFilter(stored), describeFilter(wanted))})
         if (!difference.empty()) return difference;

@@ -37,6 +37,7 @@ enum class NonFinite { kReject, kZero, kClamp };
 struct BuildOptions {
     BrickShape shape;
     double max_error = 0;  // |stored - source| at level 0; 0 is bit-exact
+    bool drafts = true;    // exact level-0 payloads begin with a draft where that pays (brick_codec.h)
     NonFinite nonfinite = NonFinite::kReject;
     ParallelFor parallel_for = serialFor;
     // Told now and then: chunks done, of how many that are known so far. May be empty. Called from one thread

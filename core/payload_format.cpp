@@ -90,7 +90,7 @@ Result<Section> readSection(ByteReader& reader, std::size_t payload_bytes, Sampl
     PayloadParts& parts = section.parts;
     const bool is_empty = reader.left() == 0;
     const auto version = reader.get<std::uint8_t>();
-    if (!is_empty && version != kPayloadVersion)
+    if (!is_empty && version != kPayloadVersion && version != kSelectingVersion)
         return corrupt(fmt::format("payload version {} is none that this reader knows", version));
 
     // An enumeration read from a file may hold any number: `isWidth` and the two comparisons below refuse the
@@ -109,6 +109,7 @@ Result<Section> readSection(ByteReader& reader, std::size_t payload_bytes, Sampl
         parts.activity > PayloadActivity::kMask ||
         (parts.encoding == PayloadEncoding::kConstant &&
          (parts.predictor != PayloadPredictor::kNone || parts.selects)) ||
+        parts.selects != (version == kSelectingVersion) ||
         (parts.selects_as_draft && (!parts.selects || section.is_draft)))
         return corrupt(fmt::format(
             "payload with encoding {}, width {}, predictor {}, activity {} cannot be {}", int(parts.encoding),

@@ -15,6 +15,8 @@
 namespace brickyard {
 
 inline constexpr std::uint8_t kPayloadVersion = 1;
+// A section that keeps words of selected samples alone.
+inline constexpr std::uint8_t kSelectingVersion = 2;
 
 enum class PayloadEncoding : std::uint8_t { kConstant = 0, kLossless = 1, kQuantised = 2 };
 // Set in the encoding of a draft: a quantised or constant section, behind which a lossless one with its

@@ -24,12 +24,15 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
+constexpr int kCompactBrickEdge = 32;
+
 struct ConvertArguments {
     std::vector<std::string> paths;
     std::string channels, frames, memory, nonfinite = "reject";
     std::vector<std::string> errors;
     RawArguments raw;
-    int brick = kDefaultBrickEdge;
+    std::optional<int> brick;
+    bool compact = false;
     unsigned jobs = 0;
     bool append = false, overwrite = false, json = false, dry_run = false, watch = false;
     std::optional<double> settle, idle;
@@ -227,7 +230,8 @@ int runConvert(const ConvertArguments& arguments) {
         else
             options.channel_errors[name] = error;
     }
-    options.brick_edge = arguments.brick;
+    options.brick_edge = arguments.brick.value_or(arguments.compact ? kCompactBrickEdge : kDefaultBrickEdge);
+    options.drafts = !arguments.compact;
     if (!arguments.memory.empty()) options.memory_bytes = *parseSize(arguments.memory);
     InputOptions raw;
     applyRawOptions(arguments.raw, raw);
@@ -341,13 +345,18 @@ void addConvertCommand(CLI::App& app, int& status) {
             const auto parsed = parseErrorRequest(text);
             return parsed ? std::string() : parsed.error().message;
         });
-    command->add_option("--brick", arguments->brick, "Cells per brick edge: 8, 16, 32 or 64")
+    command
+        ->add_option("--brick", arguments->brick,
+                     "Cells per brick edge: 8, 16, 32 or 64; default 16, with --compact 32")
         ->check(CLI::IsMember({8, 16, 32, 64}))
-        ->type_name("N")
-        ->capture_default_str();
+        ->type_name("N");
+    command->add_flag(
+        "--compact", arguments->compact,
+        "For storage: larger bricks and no drafts make files 10 to 20 % smaller, but a picture that may\n"
+        "err, or is taken close by, streams more");
     command
         ->add_option("--memory", arguments->memory,
-                     "What reading one file may take, for example 16G (at least 2G)")
+                     "What the whole conversion may take, for example 512M; default some 1G")
         ->type_name("SIZE")
         ->check([](const std::string& text) {
             const auto parsed = parseSize(text);

@@ -159,6 +159,7 @@ private:
         manifest.set_format_major(kFormatMajor);
         manifest.set_format_minor(kFormatMinor);
         manifest.set_brick_edge(std::uint32_t(options_.brick_edge));
+        manifest.set_without_drafts(!options_.drafts);
         manifest.set_writer("brickyard " BRICKYARD_VERSION);
         manifest.set_nonfinite(toString(options_.nonfinite));
         const auto addError = [&](const std::string& channel, double error) {
@@ -316,11 +317,12 @@ private:
             frame.sources.push_back(frame.fields.back().get());
             BuildOptions& build = frame.options.emplace_back();
             build.shape.edge_cells = options_.brick_edge;
+            build.drafts = options_.drafts;
             const auto error = options_.channel_errors.find(field->info().name);
             build.max_error = error == options_.channel_errors.end() ? options_.max_error : error->second;
             build.nonfinite = options_.nonfinite;
             build.parallel_for = pool_.parallelFor();
-            build.memory_bytes = options_.memory_bytes / 2;
+            build.memory_bytes = options_.memory_bytes / 8 * 3;
             build.progress = progress;
         }
         return frame;

@@ -28,7 +28,8 @@ struct ConversionOptions {
     double max_error = 0;
     std::map<std::string, double> channel_errors;  // by channel name; wins over max_error
     int brick_edge = kDefaultBrickEdge;
-    std::uint64_t memory_bytes = 0;  // what reading one file may take; 0: a multiple of its size
+    bool drafts = true;              // exact level-0 payloads begin with one where that pays
+    std::uint64_t memory_bytes = 0;  // what the whole conversion may take, about; 0: a gigabyte or so
     // As in InputOptions; an empty `raw`: the inputs are no raw dumps.
     std::string raw, name;
     std::array<double, 3> raw_voxel_size{1, 1, 1};
