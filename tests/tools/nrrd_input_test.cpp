@@ -22,7 +22,7 @@ const std::string kSmall = "type: uint8\ndimension: 3\nsizes: 2 3 4\nencoding: r
 
 class NrrdInput : public testing::Test {
 protected:
-    CommandOutcome brickyard(const std::vector<std::string>& arguments) {
+    Outcome brickyard(const std::vector<std::string>& arguments) {
         return runCommand(logs_.path(), arguments);
     }
     std::string path(const std::string& name) const { return (scratch_ / name).string(); }

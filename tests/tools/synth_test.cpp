@@ -14,7 +14,7 @@ using testing::HasSubstr;
 
 class Synth : public testing::Test {
 protected:
-    CommandOutcome brickyard(const std::vector<std::string>& arguments) {
+    Outcome brickyard(const std::vector<std::string>& arguments) {
         return runCommand(logs_.path(), arguments);
     }
     std::string path(const std::string& name) const { return (scratch_ / name).string(); }

@@ -6,6 +6,7 @@
 #include <array>
 
 #include "tools/importers/byte_file.h"
+#include "tools/importers/nano_source.h"
 #include "tools/importers/nrrd_source.h"
 #include "tools/importers/openvdb_source.h"
 #include "tools/importers/raw_source.h"
@@ -66,8 +67,13 @@ Result<InputContents> openInput(const std::filesystem::path& file, const InputOp
         case InputFormat::kNrrd: return readNrrd(file, options);
         case InputFormat::kNanoVdb: break;
     }
+#ifdef BRICKYARD_WITH_NANOVDB
+    return readNanoVdb(file, options);
+#else
     return fail(ErrorCode::kUnsupported,
-                fmt::format("{}: its format is left out of this build", file.string()));
+                fmt::format("{}: NanoVDB is left out of this build; configure with -DBRICKYARD_NANOVDB=ON",
+                            file.string()));
+#endif
 }
 
 }  // namespace brickyard
