@@ -22,6 +22,11 @@ const BenchCache kKnownCaches[] = {
     {"plume_fire_64 30", "sim/plume_fire_64/fluid_data_0030.vdb", "density"},
 };
 
+// Without a density that could be drawn as a cloud.
+const BenchCache kSurfaceCaches[] = {
+    {"liquid 6", "sim/liquid/fluid_data_0006.vdb", ""},
+};
+
 // "plume.0030" and "plume.0024" are one sequence.
 std::string sequenceOf(const std::filesystem::path& file) {
     std::string stem = file.stem().string();
@@ -43,6 +48,16 @@ Camera cameraFrom(const Camera& framing, const glm::dvec3& eye, const glm::dvec3
 }
 
 }  // namespace
+
+Result<std::vector<BenchCache>> findAllCaches(const std::filesystem::path& data) {
+    Result<std::vector<BenchCache>> caches = findCaches(data);
+    std::error_code error;
+    for (BenchCache cache : kSurfaceCaches) {
+        cache.file = data / cache.file;
+        if (caches && std::filesystem::is_regular_file(cache.file, error)) caches->push_back(cache);
+    }
+    return caches;
+}
 
 Result<std::vector<BenchCache>> findCaches(const std::filesystem::path& data) {
     std::vector<BenchCache> caches;

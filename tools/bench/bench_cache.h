@@ -17,12 +17,15 @@ namespace brickyard {
 struct BenchCache {
     std::string name;  // "plume_fire 24"
     std::filesystem::path file;
-    std::string channel;  // of density
+    std::string channel;  // of density; empty where it has none
 };
 
 // Those that we know where `data` is laid out as the project's; else the last frame of each sequence of .vdb
 // files in it, at most four. Errors: kNotFound (none).
 Result<std::vector<BenchCache>> findCaches(const std::filesystem::path& data);
+
+// The same and those that have no density to draw. Errors: the same.
+Result<std::vector<BenchCache>> findAllCaches(const std::filesystem::path& data);
 
 // A cache as a dataset, with the footer of its only frame.
 struct BenchDataset {

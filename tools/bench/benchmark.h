@@ -19,7 +19,7 @@ struct BenchOptions {
     std::filesystem::path data;     // caches to measure with; exists
     std::filesystem::path output;   // where files such as trade.csv go; exists
     std::filesystem::path scratch;  // empty; datasets go here. Its owner removes it afterwards
-    std::uint32_t size = 512;       // pictures are size x size pixels
+    std::uint32_t size = 512;       // pictures are size x size pixels, a raw dump has size^3 voxels
     unsigned repeats = 5;           // of each timed run, interleaved with its peers; at least 1
     // Takes lines for a person: tables and verdicts, on stdout. Does nothing under --json.
     std::function<void(const std::string& text)> print;
@@ -34,5 +34,6 @@ Result<nlohmann::json> benchTrade(const BenchOptions& options);
 Result<nlohmann::json> benchPay(const BenchOptions& options);
 Result<nlohmann::json> benchStream(const BenchOptions& options);
 Result<nlohmann::json> benchFly(const BenchOptions& options);
+Result<nlohmann::json> benchConvert(const BenchOptions& options);
 
 }  // namespace brickyard

@@ -31,6 +31,7 @@ constexpr Benchmark kBenchmarks[] = {
     {"pay", "what each feature of a scene costs", benchPay},
     {"stream", "picture by bytes for our order of pages, others and an oracle", benchStream},
     {"fly", "hits, bytes and memory of a flight through a medium at a constant cache", benchFly},
+    {"convert", "seconds and bytes of the converter, beside nanovdb_convert and zstd", benchConvert},
 };
 
 struct BenchArguments {
@@ -139,7 +140,10 @@ void addBenchCommand(CLI::App& app, int& status) {
     command->add_option("--output", arguments->output, "Folder for charts and tables")
         ->type_name("DIR")
         ->capture_default_str();
-    command->add_option("--size", arguments->size, "Pixels a side of each picture")
+    command
+        ->add_option(
+            "--size", arguments->size,
+            "Pixels a side of each picture; of convert, voxels a side of its raw dump (2048: 16 GiB)")
         ->check(CLI::Range(8u, 4096u))
         ->type_name("N")
         ->capture_default_str();

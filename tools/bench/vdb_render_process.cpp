@@ -3,22 +3,14 @@
 #include <OpenEXR/ImfFrameBuffer.h>
 #include <OpenEXR/ImfHeader.h>
 #include <OpenEXR/ImfInputFile.h>
-#include <fcntl.h>
 #include <fmt/format.h>
-#include <spawn.h>
-#include <sys/wait.h>
-#include <unistd.h>
 
-#include <cerrno>
 #include <charconv>
 #include <chrono>
-#include <csignal>
-#include <cstdlib>
 #include <fstream>
 #include <sstream>
-#include <thread>
 
-#include "core/io_error.h"
+#include "tools/bench/child_process.h"
 
 namespace brickyard {
 namespace {
@@ -60,46 +52,6 @@ std::vector<std::string> argumentsOf(const std::filesystem::path& program, const
             "-v"};
 }
 
-// The child's exit status; what it says goes to `log`.
-Result<int> runProgram(std::vector<std::string> arguments, const std::filesystem::path& log) {
-    std::vector<char*> pointers;
-    for (std::string& argument : arguments) pointers.push_back(argument.data());
-    pointers.push_back(nullptr);
-    posix_spawn_file_actions_t actions;
-    ::posix_spawn_file_actions_init(&actions);
-    ::posix_spawn_file_actions_addopen(&actions, STDOUT_FILENO, log.c_str(), O_WRONLY | O_CREAT | O_TRUNC,
-                                       0600);
-    ::posix_spawn_file_actions_adddup2(&actions, STDOUT_FILENO, STDERR_FILENO);
-    // Signals that we have blocked for ourselves must end the child.
-    posix_spawnattr_t attributes;
-    ::posix_spawnattr_init(&attributes);
-    sigset_t none;
-    sigemptyset(&none);
-    ::posix_spawnattr_setsigmask(&attributes, &none);
-    ::posix_spawnattr_setflags(&attributes, POSIX_SPAWN_SETSIGMASK);
-    pid_t child = 0;
-    const int error = ::posix_spawn(&child, pointers[0], &actions, &attributes, pointers.data(), environ);
-    ::posix_spawnattr_destroy(&attributes);
-    ::posix_spawn_file_actions_destroy(&actions);
-    if (error != 0) return ioError("start", arguments[0], error);
-
-    const auto deadline = std::chrono::steady_clock::now() + kDeadline;
-    int status = 0;
-    for (;;) {
-        const pid_t ended = ::waitpid(child, &status, WNOHANG);
-        if (ended == child) return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-        if (ended < 0 && errno != EINTR) return ioError("wait for", arguments[0], errno);
-        if (std::chrono::steady_clock::now() > deadline) {
-            ::kill(child, SIGKILL);
-            ::waitpid(child, &status, 0);
-            return fail(
-                ErrorCode::kTimeout,
-                fmt::format("{}: gave no picture in ten minutes; use a smaller --size", arguments[0]));
-        }
-        std::this_thread::sleep_for(std::chrono::milliseconds(10));
-    }
-}
-
 // It reports "ray-tracing NAME..." and then "...completed in 0.542 sec".
 std::optional<double> tracingSeconds(const std::string& said) {
     const std::string begin = "ray-tracing", mark = "...completed in ";
@@ -133,29 +85,21 @@ Result<std::vector<float>> readRed(const std::filesystem::path& file, std::uint3
 
 }  // namespace
 
-std::optional<std::filesystem::path> findVdbRender() {
-    const char* path = std::getenv("PATH");
-    std::istringstream folders(path ? path : "");
-    for (std::string folder; std::getline(folders, folder, ':');) {
-        const std::filesystem::path program = std::filesystem::path(folder) / "vdb_render";
-        if (!folder.empty() && ::access(program.c_str(), X_OK) == 0) return program;
-    }
-    return std::nullopt;
-}
+std::optional<std::filesystem::path> findVdbRender() { return findProgram("vdb_render"); }
 
 Result<VdbRenderPicture> runVdbRender(const std::filesystem::path& program, const VdbRenderJob& job,
                                       const std::filesystem::path& scratch) {
     const std::filesystem::path picture = scratch / "vdb_render.exr", log = scratch / "vdb_render.log";
-    const Result<int> status = runProgram(argumentsOf(program, job, picture), log);
-    if (!status) return tl::unexpected(status.error());
+    const Result<ChildRun> run = runChild(argumentsOf(program, job, picture), log, log, kDeadline);
+    if (!run) return tl::unexpected(run.error());
     std::ostringstream said;
     said << std::ifstream(log).rdbuf();
     const std::optional<double> seconds = tracingSeconds(said.str());
-    if (*status != 0 || !seconds)
+    if (run->status != 0 || !seconds)
         return fail(ErrorCode::kUnsupported,
                     fmt::format("{}: {}; it is left out of the comparison", program.string(),
-                                *status != 0 ? fmt::format("ended with status {}", *status)
-                                             : "did not say how long it traced rays"));
+                                run->status != 0 ? fmt::format("ended with status {}", run->status)
+                                                 : "did not say how long it traced rays"));
     Result<std::vector<float>> red = readRed(picture, job.size);
     if (!red) return tl::unexpected(red.error());
     return VdbRenderPicture{*seconds, std::move(*red)};
