@@ -21,6 +21,7 @@ struct BenchOptions {
     std::filesystem::path scratch;  // empty; datasets go here. Its owner removes it afterwards
     std::uint32_t size = 512;       // pictures are size x size pixels, a raw dump has size^3 voxels
     unsigned repeats = 5;           // of each timed run, interleaved with its peers; at least 1
+    int brick_edge = 16;            // cells along each edge of the bricks that a codec is given
     // Takes lines for a person: tables and verdicts, on stdout. Does nothing under --json.
     std::function<void(const std::string& text)> print;
     // Takes one line on what is being done now, for stderr where that is a terminal.
@@ -35,5 +36,6 @@ Result<nlohmann::json> benchPay(const BenchOptions& options);
 Result<nlohmann::json> benchStream(const BenchOptions& options);
 Result<nlohmann::json> benchFly(const BenchOptions& options);
 Result<nlohmann::json> benchConvert(const BenchOptions& options);
+Result<nlohmann::json> benchCodec(const BenchOptions& options);
 
 }  // namespace brickyard

@@ -4,8 +4,8 @@
 #include <fmt/format.h>
 #include <poll.h>
 #include <spawn.h>
-#include <sys/pidfd.h>
 #include <sys/resource.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -53,7 +53,8 @@ pid_t spawn(std::vector<std::string>& arguments, const std::filesystem::path& ou
 // True when the child has ended. Sleeps on the child itself: a pause between looks would be in the time
 // measured.
 bool waitForEnd(pid_t child, std::chrono::steady_clock::time_point deadline) {
-    const int descriptor = ::pidfd_open(child, 0);
+    // glibc 2.36 declares pidfd_open without extern "C".
+    const int descriptor = int(::syscall(SYS_pidfd_open, child, 0));
     if (descriptor < 0) return true;  // no such call here: wait4 waits without a deadline
     pollfd ended{descriptor, POLLIN, 0};
     int found = 0;

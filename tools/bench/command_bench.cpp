@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "core/brick_shape.h"
 #include "core/io_error.h"
 #include "core/printable_name.h"
 #include "tools/bench/benchmark.h"
@@ -32,6 +33,7 @@ constexpr Benchmark kBenchmarks[] = {
     {"stream", "picture by bytes for our order of pages, others and an oracle", benchStream},
     {"fly", "hits, bytes and memory of a flight through a medium at a constant cache", benchFly},
     {"convert", "seconds and bytes of the converter, beside nanovdb_convert and zstd", benchConvert},
+    {"codec", "bytes and speed of the brick codec, beside zfp, Blosc and zstd at equal error", benchCodec},
 };
 
 struct BenchArguments {
@@ -39,6 +41,7 @@ struct BenchArguments {
     std::string data, output = ".";
     std::uint32_t size = 512;
     unsigned repeats = 5;
+    int brick = kDefaultBrickEdge;
     bool json = false;
 };
 
@@ -71,6 +74,7 @@ Result<nlohmann::json> runAll(const std::vector<const Benchmark*>& chosen, const
     options.output = arguments.output;
     options.size = arguments.size;
     options.repeats = arguments.repeats;
+    options.brick_edge = arguments.brick;
     options.print = [&](const std::string& text) {
         if (!arguments.json) fmt::print("{}\n", text);
         std::fflush(stdout);
@@ -150,6 +154,10 @@ void addBenchCommand(CLI::App& app, int& status) {
     command
         ->add_option("--repeat", arguments->repeats, "Times that each timed run is repeated; medians count")
         ->check(CLI::Range(1u, 1000u))
+        ->type_name("N")
+        ->capture_default_str();
+    command->add_option("--brick", arguments->brick, "Of codec: cells per brick edge: 8, 16 or 32")
+        ->check(CLI::IsMember({8, 16, 32}))
         ->type_name("N")
         ->capture_default_str();
     command->add_flag("--json", arguments->json, "One JSON object on stdout and nothing else");
