@@ -119,7 +119,8 @@ std::string settingsDifference(const Manifest& stored, const Manifest& wanted) {
           differ("drafts", stored.without_drafts() ? "off (--compact)" : "on",
                  wanted.without_drafts() ? "off (--compact)" : "on"),
           differ("--nonfinite", stored.nonfinite(), wanted.nonfinite()),
-          differ("--channel", describeFilter(stored), describeFilter(wanted))})
+          differ("--channel", describeFilter(stored), describeFilter(wanted)),
+          differ("--raw", stored.input_layout(), wanted.input_layout())})
         if (!difference.empty()) return difference;
     return {};
 }

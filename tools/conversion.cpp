@@ -162,6 +162,13 @@ private:
         manifest.set_without_drafts(!options_.drafts);
         manifest.set_writer("brickyard " BRICKYARD_VERSION);
         manifest.set_nonfinite(toString(options_.nonfinite));
+        if (!options_.raw.empty()) {
+            const auto& size = options_.raw_voxel_size;
+            manifest.set_input_layout(
+                fmt::format("{} --voxel-size {},{},{}", options_.raw, size[0], size[1], size[2]));
+        }
+        if (!options_.name.empty())
+            manifest.set_input_layout(manifest.input_layout() + " --name " + validUtf8(options_.name));
         const auto addError = [&](const std::string& channel, double error) {
             ErrorRequest& request = *manifest.add_error_requests();
             request.set_channel(channel);

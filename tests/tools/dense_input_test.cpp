@@ -150,6 +150,15 @@ TEST_F(DenseInput, VoxelsAreCellsAndHaveTheirHalfVoxelInTheTransform) {
     EXPECT_EQ(stored.indexToWorld().point({3, 3, 3}), glm::dvec3(1.75, 3.5, 7));
 }
 
+TEST_F(DenseInput, TheSameFileWithAnotherLayoutIsNotThereAlready) {
+    const std::string file = write("a.raw", std::string(64, 'x')), out = path("out.bricks");
+    ASSERT_EQ(brickyard({"convert", file, out, "--raw", "4x4x4:uint8"}).status, 0);
+    EXPECT_EQ(brickyard({"convert", file, out, "--raw", "4x4x4:uint8"}).status, 0);
+    expectOneLineOf(brickyard({"convert", file, out, "--raw", "4x4x4:int8"}), "--raw 4x4x4:uint8");
+    expectOneLineOf(brickyard({"convert", file, out, "--raw", "4x4x4:uint8", "--voxel-size", "2"}),
+                    "--voxel-size 1,1,1");
+}
+
 TEST_F(DenseInput, AnIntegerThatDoesNotFitNamesItsVoxel) {
     RawFile raw = randomRaw(6, 5, 4, "uint64", false, false, 1);
     raw.bytes[((3 * 5 + 2) * 6 + 4) * 8 + 7] = char(0x80);

@@ -5,8 +5,8 @@
 #include <cstdlib>
 
 #include "command_run.h"
-#include "sample_grids.h"
 #include "grid_comparison.h"
+#include "sample_grids.h"
 
 namespace brickyard {
 namespace {
