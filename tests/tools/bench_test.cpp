@@ -51,9 +51,11 @@ protected:
         err_ = readFile(folder_ / "err");
         return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
     }
-    nlohmann::json figures(const std::string& name) {
+    // `arguments` begin with the benchmark's name.
+    nlohmann::json figures(const std::string& arguments) {
+        const std::string name = arguments.substr(0, arguments.find(' '));
         const int status = bench(fmt::format("{} --json --size 24 --repeat 1 --data '{}/plume' --output '{}'",
-                                             name, BRICKYARD_TEST_DATA, folder_.string()));
+                                             arguments, BRICKYARD_TEST_DATA, folder_.string()));
         EXPECT_EQ(status, 0) << err_;
         EXPECT_EQ(err_, "");
         const nlohmann::json json = nlohmann::json::parse(out_, nullptr, /*allow_exceptions=*/false);
@@ -130,6 +132,84 @@ TEST_F(BenchTest, AFlightKeepsItsBudgetAndEndsWithTheRightPicture) {
         EXPECT_LT(flight["heap_last_over_middle_third"].get<double>(), 1.01) << "memory leaks: " << flight;
     }
     EXPECT_THAT(readFile(folder_ / "fly.csv"), StartsWith("scene,frame,"));
+}
+
+// Whether a figure is there and is what a measurement can give.
+void expectAboveZero(const nlohmann::json& object, const std::string& key) {
+    ASSERT_TRUE(object.contains(key) && object[key].is_number()) << key << " of " << object;
+    EXPECT_TRUE(std::isfinite(object[key].get<double>())) << key << " of " << object;
+    EXPECT_GT(object[key].get<double>(), 0) << key << " of " << object;
+}
+
+void expectConversion(const nlohmann::json& program) {
+    for (const char* key :
+         {"seconds", "cpu_seconds", "cores_busy", "peak_bytes", "output_bytes", "output_over_input"})
+        expectAboveZero(program, key);
+    // No program runs in less than a megabyte, or on more processors than there could be.
+    EXPECT_GT(program.value("peak_bytes", 0.0), 1e6) << program;
+    EXPECT_LT(program.value("cores_busy", 0.0), 1024) << program;
+}
+
+TEST_F(BenchTest, ConvertMeasuresItselfAndThePeersThatAreInstalled) {
+    const nlohmann::json convert = figures("convert");
+    ASSERT_EQ(convert["caches"].size(), 1u);
+    const nlohmann::json& cache = convert["caches"][0];
+    expectConversion(cache["ours"]);
+    EXPECT_TRUE(cache["notes"].empty()) << cache["notes"];
+    for (const char* peer : {"zip", "blosc"})
+        if (cache.contains(peer) && !cache[peer].contains("skipped")) {
+            expectConversion(cache[peer]);
+            expectAboveZero(cache, fmt::format("ours_over_{}", peer));
+            expectAboveZero(cache, fmt::format("ours_over_{}_cpu", peer));
+        } else {
+            EXPECT_FALSE(convert["skipped"].empty()) << "left out, and nobody says why";
+        }
+    EXPECT_LT(cache["ours_at_error"]["output_bytes"], cache["ours"]["output_bytes"]);
+
+    const nlohmann::json& raw = convert["raw"];
+    EXPECT_EQ(raw["input_bytes"], 24 * 24 * 24 * 2);
+    expectConversion(raw["ours"]);
+    if (raw.contains("zstd")) {
+        expectConversion(raw["zstd"]);
+        expectAboveZero(raw, "ours_over_zstd");
+    }
+    ASSERT_GE(convert["goals"].size(), 2u);
+    for (const auto& goal : convert["goals"]) {
+        expectAboveZero(goal, "worst");
+        expectAboveZero(goal, "limit");
+        EXPECT_NE(goal["goal"], "raw_speed_over_zstd") << "held to a goal that is meant for gigabytes";
+        EXPECT_EQ(goal["met"].get<bool>(), goal["worst"] <= goal["limit"]) << goal;
+    }
+}
+
+TEST_F(BenchTest, CodecsAreComparedAtErrorsThatTheyKeep) {
+    const nlohmann::json codec = figures("codec --brick 8");
+    EXPECT_EQ(codec["brick"], 8);
+    ASSERT_EQ(codec["caches"].size(), 1u);
+    ASSERT_EQ(codec["caches"][0]["modes"].size(), 3u);
+    for (const auto& mode : codec["caches"][0]["modes"]) {
+        const double asked = mode["error_of_range"];
+        std::map<std::string, double> error;
+        for (const auto& it : mode["codecs"]) {
+            for (const char* key :
+                 {"bytes_per_sample", "of_raw", "encode_megabytes_per_second", "decode_megabytes_per_second",
+                  "ours_over_it_bytes", "ours_over_it_encode_speed", "ours_over_it_decode_speed"})
+                expectAboveZero(it, key);
+            error[it["key"]] = it["error_over_range"];
+            // A float's own rounding comes on top of what was asked for.
+            EXPECT_LE(error[it["key"]], asked * 1.001) << it;
+        }
+        for (const char* key : {"ours", "zfp", "zfp_without_face", "blosc_lz4", "blosc_zstd", "zstd"})
+            EXPECT_TRUE(error.contains(key)) << key;
+        EXPECT_LE(error["zfp"], error["ours"]);
+        EXPECT_EQ(error.contains("ours_at_zfp"), asked > 0);
+        if (asked > 0) {
+            EXPECT_LE(error["ours_at_zfp"], error["zfp"]);
+            expectAboveZero(mode, "ours_at_zfp_over_zfp_bytes");
+        }
+    }
+    // Five peers at three errors.
+    EXPECT_EQ(codec["summary"].size(), 15u);
 }
 
 TEST_F(BenchTest, RefusesWhatIsNotThereInOneLine) {

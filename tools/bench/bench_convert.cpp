@@ -1,12 +1,15 @@
 // `brickyard bench convert`: seconds, processors, memory and bytes of `brickyard convert` as a person runs
 // it, beside `nanovdb_convert` on the same caches and `zstd` on the same raw dump.
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <cmath>
 #include <fstream>
 #include <optional>
+#include <sstream>
 
+#include "core/printable_name.h"
 #include "tools/bench/bench_cache.h"
 #include "tools/bench/benchmark.h"
 #include "tools/bench/child_process.h"
@@ -43,6 +46,14 @@ struct Contestant {
 std::string readText(const std::filesystem::path& file) {
     std::ifstream stream(file, std::ios::binary);
     return {std::istreambuf_iterator<char>(stream), {}};
+}
+
+std::vector<std::string> linesOf(const std::string& text) {
+    std::vector<std::string> lines;
+    std::istringstream stream(text);
+    for (std::string line; std::getline(stream, line);)
+        if (!line.empty()) lines.push_back(validUtf8(line));
+    return lines;
 }
 
 // Of a file, or of all files of a folder.
@@ -104,6 +115,10 @@ public:
                                    "channel's range:\n",
                                    100 * kErrorOfRange) +
                        sizes_.text());
+        if (!notes_.empty())
+            options_.print(
+                fmt::format("  What brickyard convert said; the bytes of these caches count for no goal:\n{}",
+                            fmt::join(notes_, "\n")));
         Result<Json> raw = measureRaw();
         if (!raw) return tl::unexpected(raw.error());
         json["raw"] = std::move(*raw);
@@ -129,7 +144,7 @@ private:
         contestant.total_seconds += run->seconds;
         if (run->status != 0 || contestant.output_bytes == 0) {
             std::string said = readText(scratch("err"));
-            said = said.substr(0, said.find('\n'));
+            said = validUtf8(said.substr(0, said.find('\n')));
             contestant.failure =
                 fmt::format("{}: {}", contestant.name,
                             !said.empty()      ? said
@@ -184,10 +199,12 @@ private:
             return fail(ErrorCode::kUnsupported,
                         fmt::format("{}: brickyard convert --json said nothing that is understood",
                                     cache.file.string()));
+        const std::vector<std::string> notes = linesOf(readText(scratch("err")));
         contestants[0].best.reset();  // it had to read the file from disk
         if (Result<void> done = runInTurns(contestants); !done) return tl::unexpected(done.error());
 
-        Json json{{"name", cache.name}, {"input_bytes", input_bytes}};
+        Json json{{"name", cache.name}, {"input_bytes", input_bytes}, {"notes", notes}};
+        for (const std::string& note : notes) notes_.push_back(fmt::format("  {}: {}", cache.name, note));
         const double ours = contestants[0].best->seconds;
         for (std::size_t i = 0; i < contestants.size(); ++i) {
             const Contestant& contestant = contestants[i];
@@ -239,9 +256,12 @@ private:
         const double at_error = double(lossy.output_bytes) / double(input_bytes);
         json["saved_as_half"] = half;
         json["ours_at_error"] = toJson(lossy, input_bytes);
-        goals_[kLossless].add(exact);
-        if (!half) goals_[kLosslessFloat].add(exact);
-        goals_[half ? kErrorHalf : kErrorFloat].add(at_error);
+        // Where grids were left out, the bytes of the others are no match for the whole source.
+        if (json["notes"].empty()) {
+            goals_[kLossless].add(exact);
+            if (!half) goals_[kLosslessFloat].add(exact);
+            goals_[half ? kErrorHalf : kErrorFloat].add(at_error);
+        }
         sizes_.add({cache.name, half ? "half" : "float", fmt::format("{:.3f}", double(input_bytes) / 1e6),
                     fmt::format("{:.3f}", exact), fmt::format("{:.3f}", at_error)});
         remove(lossy.output);
@@ -335,9 +355,9 @@ private:
 
     const BenchOptions& options_;
     std::string brickyard_;
-    std::vector<std::string> skipped_;
-    TextTable times_{{"cache", "program", "seconds", "ours/it", "CPU s", "ours/it", "cores busy", "peak MB",
-                      "MB out", "of source"}};
+    std::vector<std::string> skipped_, notes_;
+    TextTable times_{{"cache", "program", "seconds", "ours/it", "CPU s", "CPU ours/it", "cores busy",
+                      "peak MB", "MB out", "of source"}};
     TextTable sizes_{{"cache", "saved as", "source MB", "lossless", "at error"}};
     std::vector<Goal> goals_{
         {"seconds over nanovdb_convert -z", "seconds_over_zip", kMostOfZip},
