@@ -14,6 +14,9 @@ namespace brickyard {
 Result<SourceFile> describeSource(const std::filesystem::path& file) {
     struct stat status{};
     if (::stat(file.c_str(), &status) != 0) return ioError("open", file, errno);
+    // A folder changes whenever something is put into it; nothing of it is read.
+    if (!S_ISREG(status.st_mode))
+        return fail(ErrorCode::kInvalid, fmt::format("{}: not a file; give files to convert", file.string()));
     SourceFile source;
     source.set_name(validUtf8(file.filename().string()));
     source.set_bytes(std::uint64_t(status.st_size));

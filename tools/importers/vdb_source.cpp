@@ -204,7 +204,12 @@ private:
                 head->text("vector_type"),
                 {"covariant", "covariant normalize", "contravariant relative", "contravariant absolute"},
                 "invariant");
+        if (type->mask) info.source_type = "mask";
         info.metadata = std::move(head->metadata);
+        // A grid without a name says so by an empty note, and its channel is called something.
+        const auto named = std::ranges::any_of(
+            info.metadata, [](const MetadataEntry& entry) { return entry.name == "name"; });
+        if (!named && name.starts_with("unnamed")) info.metadata.push_back({"name", "string", ""});
         contents_.fields.push_back(std::make_unique<VdbGridField>(file_.sharedBytes(), std::move(*place),
                                                                   std::move(info), cache_,
                                                                   std::uint32_t(contents_.fields.size())));
