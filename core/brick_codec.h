@@ -44,7 +44,7 @@ struct EncodedBrick {
     double error_made = 0;  // measured on the samples that this payload decodes to
     double rms_made = 0;    // root mean square of the same deviation, over all samples and components
     // Prefix of `payload` that decodes alone, below payload.size(); 0: no draft, because none was asked for
-    // or none paid (the whole would be over 18 % larger than without, or the draft not below half of that).
+    // or none paid (the whole would be over 17 % larger than without, or the draft not below half of that).
     std::size_t draft_bytes = 0;
     double draft_error_made = 0;  // measured on the samples that the draft decodes to; at most draft_error
     double draft_rms_made = 0;

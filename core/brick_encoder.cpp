@@ -27,7 +27,7 @@ constexpr std::size_t kSectionHeaderBytes = 5;
 // larger. Floats grow by 3 to 6 %, halves, whose noise is thin, by 10 to 17 %
 // (docs/decisions/0003-drafts.md).
 constexpr double kMostDraftShare = 0.5;
-constexpr double kMostGrowth = 1.18;
+constexpr double kMostGrowth = 1.17;
 // A section of so few bytes is mostly its headers.
 constexpr std::size_t kLittle = 512;
 

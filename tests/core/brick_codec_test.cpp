@@ -338,7 +338,7 @@ TEST(BrickDraftTest, ADraftTakesAFractionAndTheWholeStaysExact) {
             EXPECT_EQ(plain.draft_bytes, 0u);
             ASSERT_GT(drafted.draft_bytes, 0u) << describe(brick);
             EXPECT_LT(double(drafted.draft_bytes), 0.5 * double(plain.payload.size())) << describe(brick);
-            EXPECT_LE(double(drafted.payload.size()), 1.18 * double(plain.payload.size()) + 1)
+            EXPECT_LE(double(drafted.payload.size()), 1.17 * double(plain.payload.size()) + 1)
                 << describe(brick);
             EXPECT_EQ(drafted.error_made, 0);
 

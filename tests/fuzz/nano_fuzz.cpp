@@ -6,7 +6,8 @@
 
 #include <cstdlib>
 #include <cstring>
-#include <sstream>
+#include <fstream>
+#include <iterator>
 #include <string>
 #include <vector>
 
@@ -21,16 +22,17 @@ template <class Value, class Stored = Value>
 nanovdb::GridHandle<> makeGrid(const Value& value) {
     nanovdb::GridBuilder<Value, Stored> builder(Value(0));
     auto accessor = builder.getAccessor();
-    for (int i = 0; i < 200; ++i) accessor.setValue(nanovdb::Coord(i % 9 - 3, i / 9 % 7, i * 8), value);
+    for (int i = 0; i < 60; ++i) accessor.setValue(nanovdb::Coord(i % 9, i / 9 % 7, i * 3), value);
     return builder.template getHandle<>(0.5, nanovdb::Vec3d(1, 2, 3), "grid");
 }
 
 std::vector<std::string> makeFiles() {
     std::vector<std::string> files;
     const auto add = [&](nanovdb::GridHandle<> grid, nanovdb::io::Codec codec) {
-        std::ostringstream out;
-        nanovdb::io::writeGrid(out, grid, codec);
-        files.push_back(out.str());
+        const MemoryFile file({});
+        nanovdb::io::writeGrid(file.path().string(), grid, codec);
+        std::ifstream written(file.path(), std::ios::binary);
+        files.emplace_back(std::istreambuf_iterator<char>(written), std::istreambuf_iterator<char>());
     };
     for (const auto codec : {nanovdb::io::Codec::NONE, nanovdb::io::Codec::ZIP, nanovdb::io::Codec::BLOSC}) {
         add(makeGrid<float>(2.5f), codec);
