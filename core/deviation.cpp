@@ -183,6 +183,26 @@ double between(const std::array<double, 8>& corners, const std::array<double, 3>
     return sum;
 }
 
+// The node's field less `value` at the corners of a piece of one of its cells, and the largest of them.
+std::pair<std::array<double, 8>, double> deviationsOf(SampleCube<double> samples,
+                                                      const std::array<int, 3>& cell,
+                                                      const std::array<double, 3>& from, double piece,
+                                                      double value) {
+    std::array<double, 8> corners, deviations;
+    for (int q = 0; q < 8; ++q)
+        corners[std::size_t(q)] =
+            samples.at(std::size_t(cell[0] + (q & 1)), std::size_t(cell[1] + (q >> 1 & 1)),
+                       std::size_t(cell[2] + (q >> 2)));
+    double largest = 0;
+    for (int q = 0; q < 8; ++q) {
+        std::array<double, 3> t;
+        for (std::size_t a = 0; a < 3; ++a) t[a] = from[a] + ((q >> a & 1) ? piece : 0);
+        deviations[std::size_t(q)] = between(corners, t) - value;
+        largest = std::max(largest, std::abs(deviations[std::size_t(q)]));
+    }
+    return {deviations, largest};
+}
+
 // The parts of a region of one value as cells of the node, or as one piece of a cell.
 template <class Visit>
 void forPieces(const NodeKey& node, const NodeKey& part, BrickShape shape, Visit&& visit) {
@@ -352,19 +372,8 @@ void addUniformDeviation(const NodeKey& node, std::span<const double> node_sampl
         std::min(node.level, part.level + std::countr_zero(unsigned(shape.edge_cells))));
     forPieces(node, part, shape,
               [&](const std::array<int, 3>& cell, const std::array<double, 3>& from, double piece) {
-                  std::array<double, 8> corners, d;
-                  for (int q = 0; q < 8; ++q)
-                      corners[std::size_t(q)] =
-                          own.at(std::size_t(cell[0] + (q & 1)), std::size_t(cell[1] + (q >> 1 & 1)),
-                                 std::size_t(cell[2] + (q >> 2)));
-                  double largest = 0;
-                  for (int q = 0; q < 8; ++q) {
-                      std::array<double, 3> t;
-                      for (std::size_t a = 0; a < 3; ++a) t[a] = from[a] + ((q >> a & 1) ? piece : 0);
-                      const double deviation = between(corners, t) - value;
-                      d[std::size_t(q)] = deviation * inverse;
-                      largest = std::max(largest, std::abs(deviation));
-                  }
+                  auto [d, largest] = deviationsOf(own, cell, from, piece, value);
+                  for (double& corner : d) corner *= inverse;
                   DeviationPart::SubBox& box =
                       out.at(gridIndex(cell[0] / box_cells, cell[1] / box_cells, cell[2] / box_cells));
                   box.largest = std::max(box.largest, largest);
@@ -481,18 +490,9 @@ void addUniformResidual(const NodeKey& node, SampleCube<double> node_samples, co
         std::min(node.level, part.level + std::countr_zero(unsigned(shape.edge_cells))));
     forPieces(node, part, shape,
               [&](const std::array<int, 3>& cell, const std::array<double, 3>& from, double piece) {
-                  std::array<double, 8> corners, d;
-                  for (int q = 0; q < 8; ++q)
-                      corners[std::size_t(q)] =
-                          node_samples.at(std::size_t(cell[0] + (q & 1)), std::size_t(cell[1] + (q >> 1 & 1)),
-                                          std::size_t(cell[2] + (q >> 2)));
-                  double largest = 0;
-                  for (int q = 0; q < 8; ++q) {
-                      std::array<double, 3> t;
-                      for (std::size_t a = 0; a < 3; ++a) t[a] = from[a] + ((q >> a & 1) ? piece : 0);
-                      d[std::size_t(q)] = (between(corners, t) - value) * inverse;
-                      largest = std::max(largest, std::abs(d[std::size_t(q)]));
-                  }
+                  auto [d, largest] = deviationsOf(node_samples, cell, from, piece, value);
+                  for (double& corner : d) corner *= inverse;
+                  largest *= inverse;
                   const std::array<double, 8> applied = products.applied(d);
                   std::array<double, 8> moments;
                   for (std::size_t q = 0; q < 8; ++q) moments[q] = -applied[q];
