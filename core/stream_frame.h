@@ -13,7 +13,7 @@
 namespace brickyard {
 
 inline constexpr std::uint32_t kProtocolMajor = 1;
-inline constexpr std::uint32_t kProtocolMinor = 0;
+inline constexpr std::uint32_t kProtocolMinor = 1;
 
 // A whole message from a client; more closes the connection.
 inline constexpr std::size_t kMaxClientMessageBytes = 1u << 20;
