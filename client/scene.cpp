@@ -8,11 +8,10 @@
 #include <cmath>
 #include <fstream>
 #include <glm/geometric.hpp>
-#include <limits>
 #include <sstream>
 #include <vector>
 
-#include "core/affine.h"
+#include "core/default_density.h"
 
 namespace brickyard {
 
@@ -71,17 +70,10 @@ Result<std::uint32_t> findChannel(const FrameFooter& frame, const std::string& n
                                                   role, fmt::join(names, ", ")));
 }
 
-// "density" where there is one, else the only scalar channel.
-Result<std::uint32_t> defaultDensity(const FrameFooter& frame) {
-    std::vector<std::uint32_t> scalar;
+Result<std::uint32_t> findDensity(const FrameFooter& frame) {
+    if (const std::optional<std::uint32_t> channel = defaultDensity(frame)) return *channel;
     std::vector<std::string> names;
-    for (int i = 0; i < frame.channels_size(); ++i) {
-        const ChannelFooter& channel = frame.channels(i);
-        if (channel.name() == "density") return std::uint32_t(i);
-        names.push_back(channel.name());
-        if (channel.components() == 1) scalar.push_back(std::uint32_t(i));
-    }
-    if (scalar.size() == 1) return scalar[0];
+    for (const ChannelFooter& channel : frame.channels()) names.push_back(channel.name());
     return fail(ErrorCode::kNotFound,
                 fmt::format("the frame has no channel 'density'; name one in the scene's "
                             "medium.density; there are: {}",
@@ -124,7 +116,7 @@ Result<SceneSettings> bindScene(const Scene& scene, FrameFooter& frame) {
     SceneSettings settings;
     const Medium& medium = scene.medium();
     const Result<std::uint32_t> density =
-        medium.density().empty() ? defaultDensity(frame) : findChannel(frame, medium.density(), "density");
+        medium.density().empty() ? findDensity(frame) : findChannel(frame, medium.density(), "density");
     if (!density) return tl::unexpected(density.error());
     settings.density_channel = *density;
     if (Result<void> offset = offsetSamples(medium, frame); !offset) return tl::unexpected(offset.error());
@@ -184,39 +176,6 @@ Result<SceneSettings> bindScene(const Scene& scene, FrameFooter& frame) {
     if (!background) return tl::unexpected(background.error());
     for (int c = 0; c < 3; ++c) settings.background[std::size_t(c)] = float((*background)[c]);
     return settings;
-}
-
-Camera frameChannel(const ChannelFooter& channel, double aspect) {
-    constexpr double kFovDegrees = 40;
-    const std::vector<double> columns(channel.index_to_world().begin(), channel.index_to_world().end());
-    const Affine transform = Affine::fromColumns(columns).value_or(Affine());
-    glm::dvec3 low(std::numeric_limits<double>::max()), high(std::numeric_limits<double>::lowest());
-    for (int corner = 0; corner < 8; ++corner) {
-        glm::dvec3 index(0);
-        if (channel.active_min_size() == 3)
-            for (int a = 0; a < 3; ++a)
-                index[a] = (corner >> a & 1) ? channel.active_max(a) + 1.0 : channel.active_min(a) - 1.0;
-        low = glm::min(low, transform.point(index));
-        high = glm::max(high, transform.point(index));
-    }
-    const glm::dvec3 center = low + 0.5 * (high - low), size = high - low;
-    const double radius = 0.5 * std::max(glm::length(size), transform.voxelSize());
-    const bool z_up = size.z > size.y;
-    const glm::dvec3 from =
-        z_up ? glm::normalize(glm::dvec3(0.45, -1, 0.25)) : glm::normalize(glm::dvec3(0.45, 0.25, 1));
-    // The narrower of the two half angles must hold the bounding sphere.
-    const double half = kFovDegrees * 0.5 * 3.14159265358979323846 / 180;
-    const double narrow = aspect < 1 ? std::atan(std::tan(half) * aspect) : half;
-    const glm::dvec3 eye = center + from * (radius / std::sin(narrow));
-
-    Camera camera;
-    for (int a = 0; a < 3; ++a) {
-        camera.add_eye(eye[a]);
-        camera.add_target(center[a]);
-        camera.add_up(a == (z_up ? 2 : 1) ? 1 : 0);
-    }
-    camera.set_vertical_fov_degrees(kFovDegrees);
-    return camera;
 }
 
 }  // namespace brickyard

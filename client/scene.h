@@ -44,8 +44,4 @@ Result<Camera> readCamera(const std::string& text_or_file);
 // every channel's transform in `frame`. Errors: kNotFound (names the channels there are); kInvalid.
 Result<SceneSettings> bindScene(const Scene& scene, FrameFooter& frame);
 
-// A camera that sees all of the channel's active box: from the front, a little above; up is the longer of Y
-// and Z.
-Camera frameChannel(const ChannelFooter& channel, double aspect);
-
 }  // namespace brickyard

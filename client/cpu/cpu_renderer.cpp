@@ -3,6 +3,7 @@
 #include <thread>
 
 #include "client/cpu/cpu_picture.h"
+#include "core/camera_framing.h"
 
 namespace brickyard {
 

@@ -7,6 +7,7 @@
 #include <glm/geometric.hpp>
 #include <map>
 
+#include "core/camera_framing.h"
 #include "core/dataset.h"
 #include "tools/conversion.h"
 

@@ -9,6 +9,7 @@
 #include <cstring>
 #include <fstream>
 
+#include "core/camera_framing.h"
 #include "tools/bench/bench_cache.h"
 #include "tools/bench/benchmark.h"
 #include "tools/bench/fly_path.h"
