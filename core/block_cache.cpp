@@ -11,6 +11,7 @@ std::size_t BlockCache::KeyHash::operator()(const BlockKey& key) const {
 std::shared_ptr<const TreeBlock> BlockCache::find(const BlockKey& key) {
     const std::lock_guard lock(mutex_);
     const auto found = index_.find(key);
+    (found == index_.end() ? misses_ : hits_).fetch_add(1, std::memory_order_relaxed);
     if (found == index_.end()) return nullptr;
     entries_.splice(entries_.begin(), entries_, found->second);
     return found->second->block;

@@ -1,6 +1,7 @@
 // Decoded tree blocks of frames that are being read, least recently used out first. Any thread.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <list>
 #include <memory>
@@ -27,6 +28,9 @@ public:
     // A block larger than the whole budget is not kept.
     void insert(const BlockKey& key, std::shared_ptr<const TreeBlock> block);
     std::uint64_t usedBytes() const;
+    // Since the cache was made.
+    std::uint64_t hits() const { return hits_.load(std::memory_order_relaxed); }
+    std::uint64_t misses() const { return misses_.load(std::memory_order_relaxed); }
 
 private:
     struct KeyHash {
@@ -39,6 +43,7 @@ private:
     };
 
     const std::uint64_t budget_bytes_;
+    std::atomic<std::uint64_t> hits_{0}, misses_{0};
     mutable std::mutex mutex_;
     std::uint64_t used_bytes_ = 0;  // Invariant: the sum of the entries' bytes, at most budget_bytes_
     std::list<Entry> entries_;      // most recently used first

@@ -3,6 +3,7 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/stat.h>
+#include <sys/uio.h>
 #include <unistd.h>
 #include <xxhash.h>
 
@@ -167,10 +168,20 @@ BrickStore::~BrickStore() {
     if (descriptor_ >= 0) ::close(descriptor_);
 }
 
-Result<void> BrickStore::readAt(std::uint64_t offset, std::byte* out, std::size_t bytes) const {
+Result<void> BrickStore::readAt(std::uint64_t offset, std::byte* out, std::size_t bytes,
+                                ReadMode mode) const {
     assert(offset <= file_bytes_ && bytes <= file_bytes_ - offset);
     while (bytes > 0) {
-        const ssize_t got = ::pread(descriptor_, out, bytes, off_t(offset));
+        ssize_t got = 0;
+        if (mode == ReadMode::kCachedOnly) {
+            const iovec piece{out, bytes};
+            got = ::preadv2(descriptor_, &piece, 1, off_t(offset), RWF_NOWAIT);
+            // A file system that cannot tell may always wait.
+            if (got < 0 && (errno == EAGAIN || errno == EOPNOTSUPP || errno == ENOSYS))
+                return fail(ErrorCode::kWouldBlock, {});
+        } else {
+            got = ::pread(descriptor_, out, bytes, off_t(offset));
+        }
         if (got < 0 && errno == EINTR) continue;
         if (got < 0) return ioError("read", path_, errno);
         // The file shrank since it was opened.
@@ -215,13 +226,32 @@ Result<TreeBlock> BrickStore::loadBlock(std::uint32_t channel, std::uint32_t blo
     return decoded;
 }
 
-Result<std::vector<std::byte>> BrickStore::readPayloadUnchecked(const NodeRecord& record) const {
+Result<void> BrickStore::readBlockInto(std::uint32_t channel, std::uint32_t block, std::span<std::byte> out,
+                                       ReadMode mode) const {
+    const BlockRef& ref = footer_.channels(int(channel)).blocks(int(block));
+    assert(out.size() == ref.bytes());
+    return readAt(ref.offset(), out.data(), out.size(), mode);
+}
+
+Result<void> BrickStore::checkPayloadRange(const NodeRecord& record) const {
     // The record came from disk: believe no length before it is compared with the file's.
     if (record.payload_offset > file_bytes_ || record.payload_bytes > file_bytes_ - record.payload_offset ||
         record.payload_bytes > kMaxPayloadBytes)
         return fail(ErrorCode::kCorrupt,
                     inFile(path_, fmt::format("a brick claims {} bytes at byte {} of {}",
                                               record.payload_bytes, record.payload_offset, file_bytes_)));
+    return {};
+}
+
+Result<void> BrickStore::readPayloadInto(const NodeRecord& record, std::span<std::byte> out,
+                                         ReadMode mode) const {
+    assert(out.size() <= record.payload_bytes);
+    if (auto sound = checkPayloadRange(record); !sound) return sound;
+    return readAt(record.payload_offset, out.data(), out.size(), mode);
+}
+
+Result<std::vector<std::byte>> BrickStore::readPayloadUnchecked(const NodeRecord& record) const {
+    if (auto sound = checkPayloadRange(record); !sound) return tl::unexpected(sound.error());
     std::vector<std::byte> payload(record.payload_bytes);
     if (auto read = readAt(record.payload_offset, payload.data(), payload.size()); !read)
         return tl::unexpected(read.error());

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "core/node_key.h"
@@ -20,6 +21,10 @@ struct ByteRange {
     std::uint64_t begin = 0;
     std::uint64_t end = 0;
 };
+
+// Whether a read may wait for the disk. A read that may not gives kWouldBlock where the bytes are not in the
+// page cache of the operating system; partial results are thrown away.
+enum class ReadMode { kMayBlock, kCachedOnly };
 
 class BrickStore {
 public:
@@ -49,10 +54,19 @@ public:
     // The same bytes, not verified: a server forwards them, and the client checks. Errors: kIo; kCorrupt
     // (outside the file).
     Result<std::vector<std::byte>> readPayloadUnchecked(const NodeRecord& record) const;
+    // The first out.size() bytes of it, into memory of the caller's. REQUIRES: out.size() <=
+    // record.payload_bytes. Errors: those above; kWouldBlock.
+    Result<void> readPayloadInto(const NodeRecord& record, std::span<std::byte> out, ReadMode mode) const;
+    // A stored tree block, not verified. REQUIRES: the footer has the block, and out.size() is its size.
+    // Errors: kIo, kCorrupt, kWouldBlock.
+    Result<void> readBlockInto(std::uint32_t channel, std::uint32_t block, std::span<std::byte> out,
+                               ReadMode mode) const;
 
 private:
     BrickStore() = default;
-    Result<void> readAt(std::uint64_t offset, std::byte* out, std::size_t bytes) const;
+    Result<void> readAt(std::uint64_t offset, std::byte* out, std::size_t bytes,
+                        ReadMode mode = ReadMode::kMayBlock) const;
+    Result<void> checkPayloadRange(const NodeRecord& record) const;
 
     std::filesystem::path path_;
     int descriptor_ = -1;

@@ -25,10 +25,11 @@ Result<std::uint32_t> FrameReader::storedBlockBytes(std::uint32_t channel, std::
     return footer().channels(int(channel)).blocks(int(block)).bytes();
 }
 
-Result<std::shared_ptr<const TreeBlock>> FrameReader::block(std::uint32_t channel,
-                                                            std::uint32_t block) const {
+Result<std::shared_ptr<const TreeBlock>> FrameReader::block(std::uint32_t channel, std::uint32_t block,
+                                                            ReadMode mode) const {
     const BlockKey key{frame_id_, channel, block};
     if (auto cached = blocks_->find(key)) return cached;
+    if (mode == ReadMode::kCachedOnly) return fail(ErrorCode::kWouldBlock, {});
     auto loaded = store_->loadBlock(channel, block);
     if (!loaded) return tl::unexpected(loaded.error());
     auto shared = std::make_shared<const TreeBlock>(std::move(*loaded));
@@ -36,10 +37,10 @@ Result<std::shared_ptr<const TreeBlock>> FrameReader::block(std::uint32_t channe
     return shared;
 }
 
-Result<NodeRecord> FrameReader::findBrick(const PageAddress& page) const {
+Result<NodeRecord> FrameReader::findBrick(const PageAddress& page, ReadMode mode) const {
     if (const auto known = storedBlockBytes(page.channel, page.block); !known)
         return tl::unexpected(known.error());
-    const auto nodes = block(page.channel, page.block);
+    const auto nodes = block(page.channel, page.block, mode);
     if (!nodes) return tl::unexpected(nodes.error());
     if (page.node >= (*nodes)->nodeCount())
         return fail(ErrorCode::kNotFound, fmt::format("{}: channel {}, block {} has no node {}; there are {}",

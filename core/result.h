@@ -16,6 +16,7 @@ enum class ErrorCode {
     kIo,           // the operating system said no
     kRefused,      // a peer said no
     kTimeout,
+    kWouldBlock,  // only the disk has it, and the caller asked not to wait for the disk
 };
 
 // `message` is one line: what, where, what to do.

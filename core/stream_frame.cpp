@@ -40,13 +40,18 @@ Result<StreamFrame> parseStreamFrame(std::span<const std::byte> message, const S
     return frame;
 }
 
-std::vector<std::byte> encodeStreamHead(const StreamHeader& header) {
+void encodeStreamHeadInto(const StreamHeader& header, std::vector<std::byte>& head) {
     const std::size_t header_bytes = header.ByteSizeLong();
     assert(header_bytes <= 0x7fffffffu);
-    std::vector<std::byte> head(4 + header_bytes);
+    head.resize(4 + header_bytes);
     for (std::size_t i = 0; i < 4; ++i) head[i] = std::byte(header_bytes >> (8 * i) & 0xff);
     [[maybe_unused]] const bool written = header.SerializeToArray(head.data() + 4, int(header_bytes));
     assert(written);
+}
+
+std::vector<std::byte> encodeStreamHead(const StreamHeader& header) {
+    std::vector<std::byte> head;
+    encodeStreamHeadInto(header, head);
     return head;
 }
 

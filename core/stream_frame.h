@@ -36,5 +36,7 @@ Result<StreamFrame> parseStreamFrame(std::span<const std::byte> message, const S
 
 // Length and header; the payload, if any, is sent right behind these bytes.
 std::vector<std::byte> encodeStreamHead(const StreamHeader& header);
+// The same into a vector that is used again and again.
+void encodeStreamHeadInto(const StreamHeader& header, std::vector<std::byte>& head);
 
 }  // namespace brickyard

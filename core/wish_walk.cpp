@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <unordered_set>
 
+#include "core/brick_codec.h"
+
 namespace brickyard {
 namespace {
 
@@ -49,17 +51,77 @@ Result<WishWalk> WishWalk::create(std::shared_ptr<const FrameReader> frame, Page
 }
 
 std::optional<WishWalk::Step> WishWalk::next() {
-    for (;;) {
-        if (credit_exhausted_) return std::nullopt;
-        if (next_page_ < wish_.pages.size()) return read(wish_.pages[next_page_++]);
-        if (failure_) {
-            auto failed = std::move(failure_);
-            failure_.reset();
-            return failed;
-        }
-        if (next_view_ == wish_.views.size()) return std::nullopt;
-        describeNextView();
+    if (plan(ReadMode::kMayBlock) != Plan::kPage) return std::nullopt;
+    const Planned next = *planned_;
+    if (!next.bytes) {
+        skipPlanned();
+        return Step{next.page, tl::unexpected(next.bytes.error())};
     }
+    std::vector<std::byte> bytes(*next.bytes);
+    if (auto read = readPlanned(bytes, ReadMode::kMayBlock); !read)
+        return Step{next.page, tl::unexpected(read.error())};
+    return Step{next.page, std::move(bytes)};
+}
+
+WishWalk::Plan WishWalk::plan(ReadMode mode) {
+    for (;;) {
+        if (planned_) return Plan::kPage;
+        if (credit_exhausted_) return Plan::kDone;
+        if (next_page_ < wish_.pages.size()) {
+            auto found = look(wish_.pages[next_page_], mode);
+            if (found && !found->bytes && found->bytes.error().code == ErrorCode::kWouldBlock)
+                return Plan::kWaits;
+            ++next_page_;
+            planned_ = std::move(found);
+        } else if (failure_) {
+            planned_ = std::move(failure_);
+            failure_.reset();
+        } else if (next_view_ == wish_.views.size()) {
+            return Plan::kDone;
+        } else if (mode == ReadMode::kCachedOnly) {
+            // A descent takes its time even where all of its blocks are in memory.
+            return Plan::kWaits;
+        } else {
+            describeNextView();
+        }
+    }
+}
+
+std::optional<WishWalk::Planned> WishWalk::look(const WishedPage& page, ReadMode mode) {
+    // Sizes are known before the bytes are read, so nothing is read that will not be sent.
+    std::uint32_t bytes = 0;
+    if (page.is_block) {
+        const auto stored = frame_->storedBlockBytes(page.address.channel, page.address.block);
+        if (!stored) return Planned{page, tl::unexpected(stored.error())};
+        bytes = *stored;
+    } else {
+        const auto found = frame_->findBrick(page.address, mode);
+        if (!found) return Planned{page, tl::unexpected(found.error())};
+        record_ = *found;
+        bytes = page.address.draft ? record_.draft_bytes : record_.payload_bytes;
+    }
+    // Nobody could receive it, and nobody may be made to allocate it.
+    if (bytes > kMaxPayloadBytes)
+        return Planned{
+            page, fail(ErrorCode::kCorrupt,
+                       fmt::format("{}: a page claims {} bytes, more than {}; convert this frame again",
+                                   frame_->store().path().filename().string(), bytes, kMaxPayloadBytes))};
+    if (bytes > wish_.credit_bytes - sent_bytes_) {
+        credit_exhausted_ = true;
+        return std::nullopt;
+    }
+    return Planned{page, bytes};
+}
+
+Result<void> WishWalk::readPlanned(std::span<std::byte> out, ReadMode mode) {
+    const PageAddress& address = planned_->page.address;
+    auto read = planned_->page.is_block
+                    ? frame_->store().readBlockInto(address.channel, address.block, out, mode)
+                    : frame_->store().readPayloadInto(record_, out, mode);
+    if (!read && read.error().code == ErrorCode::kWouldBlock) return read;
+    if (read) sent_bytes_ += out.size();
+    planned_.reset();
+    return read;
 }
 
 void WishWalk::describeNextView() {
@@ -82,7 +144,7 @@ void WishWalk::describeNextView() {
         if (steps)
             channels.push_back(std::move(*steps));
         else
-            failure_ = Step{{true, {channel, failed_block, 0}}, tl::unexpected(steps.error())};
+            failure_ = Planned{{true, {channel, failed_block, 0}}, tl::unexpected(steps.error())};
     }
     auto pages = interleave(channels);
     // What the list has sent already is not sent again.
@@ -97,30 +159,6 @@ void WishWalk::describeNextView() {
     wish_.pages = std::move(pages);
     next_page_ = 0;
     ++next_view_;
-}
-
-std::optional<WishWalk::Step> WishWalk::read(const WishedPage& page) {
-    // Sizes are known before the bytes are read, so nothing is read that will not be sent.
-    std::uint32_t bytes = 0;
-    NodeRecord record;
-    if (page.is_block) {
-        const auto stored = frame_->storedBlockBytes(page.address.channel, page.address.block);
-        if (!stored) return Step{page, tl::unexpected(stored.error())};
-        bytes = *stored;
-    } else {
-        const auto found = frame_->findBrick(page.address);
-        if (!found) return Step{page, tl::unexpected(found.error())};
-        record = *found;
-        bytes = page.address.draft ? record.draft_bytes : record.payload_bytes;
-    }
-    if (bytes > wish_.credit_bytes - sent_bytes_) {
-        credit_exhausted_ = true;
-        return std::nullopt;
-    }
-    auto read = page.is_block ? frame_->store().readBlock(page.address.channel, page.address.block)
-                              : frame_->readBrick(record, page.address.draft);
-    if (read) sent_bytes_ += read->size();
-    return Step{page, std::move(read)};
 }
 
 }  // namespace brickyard

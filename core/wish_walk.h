@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "core/frame_reader.h"
@@ -32,6 +33,26 @@ public:
     // costs no credit.
     std::optional<Step> next();
 
+    // The same in two steps, for whoever has memory of its own for the bytes and may not always wait.
+    struct Planned {
+        WishedPage page;
+        Result<std::uint32_t> bytes;  // stored size; or why this page cannot be had
+    };
+    enum class Plan {
+        kPage,  // planned() is the next page
+        kDone,
+        kWaits,  // only where the disk must not be waited for: finding the page needs the disk
+    };
+    // Finds the next page, or stays at the one that is planned already.
+    Plan plan(ReadMode mode);
+    // REQUIRES: plan() gave kPage.
+    const Planned& planned() const { return *planned_; }
+    // Reads the planned page, and goes on behind it unless the error is kWouldBlock. REQUIRES:
+    // planned().bytes is a size, and out has it.
+    Result<void> readPlanned(std::span<std::byte> out, ReadMode mode);
+    // Goes on behind a planned page that cannot be had.
+    void skipPlanned() { planned_.reset(); }
+
     // After next() gave nothing: whether that was for lack of credit.
     bool creditExhausted() const { return credit_exhausted_; }
     std::uint64_t sentBytes() const { return sent_bytes_; }
@@ -40,15 +61,18 @@ private:
     WishWalk(std::shared_ptr<const FrameReader> frame, PageWish wish)
         : frame_(std::move(frame)), wish_(std::move(wish)) {}
     void describeNextView();
-    std::optional<Step> read(const WishedPage& page);
+    // Nothing where the credit is used up.
+    std::optional<Planned> look(const WishedPage& page, ReadMode mode);
 
     std::shared_ptr<const FrameReader> frame_;
     PageWish wish_;
     std::size_t next_page_ = 0;
     std::size_t next_view_ = 0;
     std::vector<PinholeCamera> cameras_;  // one per view
-    std::optional<Step> failure_;         // a view's block that could not be read
-    std::uint64_t sent_bytes_ = 0;        // Invariant: at most wish_.credit_bytes
+    std::optional<Planned> failure_;      // a view's block that could not be read
+    std::optional<Planned> planned_;
+    NodeRecord record_;             // of the planned page where it is a brick
+    std::uint64_t sent_bytes_ = 0;  // Invariant: at most wish_.credit_bytes
     bool credit_exhausted_ = false;
 };
 

@@ -2,29 +2,59 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+#include <sys/stat.h>
 
 #include <algorithm>
+
+#include "core/printable_name.h"
 
 namespace brickyard {
 namespace {
 
+namespace fs = std::filesystem;
+
+constexpr std::string_view kExtension = ".bricks";
+// How old what is known of a manifest may be when someone asks.
+constexpr std::chrono::milliseconds kFresh{100};
+
 // The last part of the path as the user wrote it, without the extension that datasets carry.
-std::string nameOf(const std::filesystem::path& folder) {
-    auto path = std::filesystem::absolute(folder).lexically_normal();
+std::string nameOf(const fs::path& folder) {
+    auto path = fs::absolute(folder).lexically_normal();
     if (!path.has_filename()) path = path.parent_path();
     std::string name = path.filename().string();
-    constexpr std::string_view kExtension = ".bricks";
     if (name.size() > kExtension.size() && name.ends_with(kExtension))
         name.resize(name.size() - kExtension.size());
     return name;
 }
 
+bool isInside(const fs::path& file, const fs::path& folder) {
+    const auto [end, rest] = std::mismatch(folder.begin(), folder.end(), file.begin(), file.end());
+    return end == folder.end();
+}
+
+// A frame file must lie in its dataset's folder, links resolved: whoever may write there must not make us
+// read, and send, what lies elsewhere.
+Result<void> checkPlace(const Dataset& dataset, const FrameEntry& entry) {
+    const auto file = dataset.folder() / entry.file();
+    std::error_code error;
+    const auto real = fs::canonical(file, error);
+    if (error)
+        return fail(ErrorCode::kIo, fmt::format("{}: {}; convert frame {} again", file.string(),
+                                                error.message(), entry.frame()));
+    if (!isInside(real, fs::canonical(dataset.folder(), error)))
+        return fail(
+            ErrorCode::kInvalid,
+            fmt::format("{}: is a link out of its dataset; move the file itself there", file.string()));
+    return {};
+}
+
 // Cheap signs that the frame files are those that the manifest means.
 Result<void> checkFrames(const Dataset& dataset) {
     for (const FrameEntry& entry : dataset.manifest().frames()) {
+        if (auto placed = checkPlace(dataset, entry); !placed) return placed;
         const auto file = dataset.folder() / entry.file();
         std::error_code error;
-        const auto bytes = std::filesystem::file_size(file, error);
+        const auto bytes = fs::file_size(file, error);
         if (error)
             return fail(ErrorCode::kIo, fmt::format("{}: {}; convert frame {} again", file.string(),
                                                     error.message(), entry.frame()));
@@ -39,89 +69,249 @@ Result<void> checkFrames(const Dataset& dataset) {
     return {};
 }
 
+bool hasManifest(const fs::path& folder) {
+    std::error_code error;
+    return fs::exists(folder / kManifestName, error);
+}
+
 }  // namespace
 
 Catalog::Catalog(std::size_t max_open_frames, std::uint64_t block_cache_bytes)
     : max_open_frames_(max_open_frames), blocks_(std::make_shared<BlockCache>(block_cache_bytes)) {}
 
-Catalog::Stamp Catalog::stampOf(const std::filesystem::path& folder) {
-    // Where the manifest cannot be read, the stamp stays as it is and so does the dataset.
-    std::error_code error;
+Catalog::Stamp Catalog::stampOf(const fs::path& folder) {
+    // Where the manifest cannot be looked at, the stamp is that of nothing.
     Stamp stamp;
-    stamp.modified = std::filesystem::last_write_time(folder / kManifestName, error);
-    stamp.bytes = std::filesystem::file_size(folder / kManifestName, error);
+    struct stat status{};
+    if (::stat((folder / kManifestName).c_str(), &status) != 0) return stamp;
+    stamp.modified = fs::file_time_type(std::chrono::seconds(status.st_mtim.tv_sec) +
+                                        std::chrono::nanoseconds(status.st_mtim.tv_nsec));
+    stamp.bytes = std::uintmax_t(status.st_size);
+    stamp.inode = status.st_ino;
     return stamp;
 }
 
-Result<std::unique_ptr<Catalog>> Catalog::open(const std::vector<std::filesystem::path>& folders,
+Result<Catalog::Entry> Catalog::openEntry(const fs::path& folder) {
+    Entry entry;
+    entry.folder = folder;
+    entry.stamp = stampOf(folder);
+    entry.looked = std::chrono::steady_clock::now();
+    auto dataset = Dataset::open(folder);
+    if (!dataset) return tl::unexpected(dataset.error());
+    if (auto checked = checkFrames(*dataset); !checked) return tl::unexpected(checked.error());
+    entry.dataset = std::make_shared<const Dataset>(std::move(*dataset));
+    return entry;
+}
+
+Result<std::unique_ptr<Catalog>> Catalog::open(const std::vector<fs::path>& paths,
                                                std::size_t max_open_frames, std::uint64_t block_cache_bytes) {
     std::unique_ptr<Catalog> catalog(new Catalog(max_open_frames, block_cache_bytes));
-    for (const auto& folder : folders) {
-        Entry entry;
-        entry.folder = folder;
-        entry.stamp = stampOf(folder);
-        auto dataset = Dataset::open(folder);
-        if (!dataset) return tl::unexpected(dataset.error());
-        if (auto checked = checkFrames(*dataset); !checked) return tl::unexpected(checked.error());
-        entry.dataset = std::make_shared<const Dataset>(std::move(*dataset));
-
-        const std::string name = nameOf(folder);
-        const auto [other, is_new] = catalog->entries_.emplace(name, std::move(entry));
+    for (const auto& path : paths) {
+        std::error_code error;
+        const bool is_library = fs::is_directory(path, error) && !hasManifest(path) &&
+                                !nameOf(path / "x").empty() && !path.string().ends_with(kExtension);
+        if (is_library) {
+            catalog->libraries_.push_back(path);
+            continue;
+        }
+        auto entry = openEntry(path);
+        if (!entry) return tl::unexpected(entry.error());
+        const std::string name = nameOf(path);
+        const auto [other, is_new] = catalog->entries_.emplace(name, std::move(*entry));
         if (!is_new)
             return fail(ErrorCode::kInvalid,
                         fmt::format("{} and {}: both datasets would be called {}; rename one of the folders",
-                                    other->second.folder.string(), folder.string(), name));
-        catalog->names_.push_back(name);
+                                    other->second.folder.string(), path.string(), name));
     }
-    std::sort(catalog->names_.begin(), catalog->names_.end());
+    for (const auto& library : catalog->libraries_) {
+        Changes found;
+        catalog->addFromLibrary(library, found);
+        if (!found.warnings.empty()) return fail(ErrorCode::kInvalid, found.warnings.front());
+    }
     return catalog;
+}
+
+void Catalog::addFromLibrary(const fs::path& library, Changes& changes) {
+    std::error_code error;
+    const auto real_library = fs::canonical(library, error);
+    std::vector<fs::path> folders;
+    for (fs::directory_iterator at(library, error), end; !error && at != end; at.increment(error)) {
+        const auto& folder = at->path();
+        std::error_code ignored;
+        if (folder.filename().string().ends_with(kExtension) && at->is_directory(ignored) &&
+            hasManifest(folder))
+            folders.push_back(folder);
+    }
+    if (error)
+        changes.warnings.push_back(
+            fmt::format("{}: cannot be listed: {}", library.string(), error.message()));
+    std::sort(folders.begin(), folders.end());
+    for (const auto& folder : folders) {
+        const std::string name = nameOf(folder);
+        const auto known = entries_.find(name);
+        if (known != entries_.end() && known->second.folder == folder) continue;
+        const Stamp stamp = stampOf(folder);
+        if (const auto told = rejected_.find(folder); told != rejected_.end() && told->second == stamp)
+            continue;
+        const auto reject = [&](std::string why) {
+            rejected_[folder] = stamp;
+            changes.warnings.push_back(std::move(why));
+        };
+        if (!isInside(fs::canonical(folder, error), real_library)) {
+            reject(fmt::format("{}: is a link out of the served folder; name the dataset itself",
+                               folder.string()));
+            continue;
+        }
+        if (known != entries_.end()) {
+            reject(fmt::format("{} and {}: both datasets would be called {}; rename one of the folders",
+                               known->second.folder.string(), folder.string(), name));
+            continue;
+        }
+        auto entry = openEntry(folder);
+        if (!entry) {
+            reject(entry.error().message);
+            continue;
+        }
+        rejected_.erase(folder);
+        entry->from_library = true;
+        entries_.emplace(name, std::move(*entry));
+        changes.names = true;
+    }
+}
+
+std::vector<std::string> Catalog::names() const {
+    const std::lock_guard lock(mutex_);
+    std::vector<std::string> names;
+    for (const auto& [name, entry] : entries_)
+        if (entry.dataset) names.push_back(name);
+    return names;
+}
+
+std::string Catalog::describeNames() const {
+    std::vector<std::string> names;
+    for (const auto& [name, entry] : entries_)
+        if (entry.dataset) names.push_back(name);
+    return names.empty() ? "none" : fmt::format("{}", fmt::join(names, ", "));
+}
+
+// Whether the manifest is another one now. It is replaced atomically, so a new stamp means a whole new
+// manifest; one that cannot be read now (the folder is being exchanged) leaves the old one in place until the
+// next question.
+bool Catalog::look(Entry& entry) const {
+    entry.looked = std::chrono::steady_clock::now();
+    const Stamp now = stampOf(entry.folder);
+    if (now == entry.stamp) return false;
+    if (now == Stamp{}) {
+        const bool was_there = entry.dataset != nullptr;
+        entry.dataset = nullptr;
+        entry.stamp = now;
+        return was_there;
+    }
+    auto reopened = Dataset::open(entry.folder);
+    if (!reopened) return false;
+    entry.dataset = std::make_shared<const Dataset>(std::move(*reopened));
+    entry.stamp = now;
+    return true;
 }
 
 Result<std::shared_ptr<const Dataset>> Catalog::dataset(const std::string& name) const {
     const std::lock_guard lock(mutex_);
     const auto found = entries_.find(name);
-    if (found == entries_.end())
-        return fail(ErrorCode::kNotFound,
-                    fmt::format("no dataset {:?} here; there are: {}", name, fmt::join(names_, ", ")));
-    Entry& entry = found->second;
-    // The manifest is replaced atomically, so a new stamp means a whole new manifest. One that cannot be read
-    // now (the folder is being exchanged) leaves the old one in place until the next question.
-    if (const Stamp now = stampOf(entry.folder); now != entry.stamp) {
-        if (auto reopened = Dataset::open(entry.folder)) {
-            entry.dataset = std::make_shared<const Dataset>(std::move(*reopened));
-            entry.stamp = now;
-        }
+    if (found != entries_.end()) {
+        Entry& entry = found->second;
+        if (std::chrono::steady_clock::now() - entry.looked > kFresh) look(entry);
+        if (entry.dataset) return entry.dataset;
     }
-    return entry.dataset;
+    return fail(ErrorCode::kNotFound, fmt::format("no dataset '{}' here", printableName(name)));
 }
 
-Result<std::shared_ptr<const FrameReader>> Catalog::frame(const std::string& name,
-                                                          std::uint32_t frame) const {
+std::shared_ptr<const FrameReader> Catalog::openedFrame(const std::string& name, std::uint32_t number) const {
+    const std::lock_guard lock(mutex_);
+    for (auto open = frames_.begin(); open != frames_.end(); ++open)
+        if (open->frame == number && open->name == name) {
+            if (open != frames_.begin()) frames_.splice(frames_.begin(), frames_, open);
+            return frames_.front().reader;
+        }
+    return nullptr;
+}
+
+Result<ServedFrame> Catalog::frame(const std::string& name, std::optional<std::uint32_t> number) const {
     const auto from = dataset(name);
     if (!from) return tl::unexpected(from.error());
-    const FrameEntry* entry = (*from)->findFrame(frame);
+    const Manifest& manifest = (*from)->manifest();
+    if (!number && manifest.frames_size() > 0) number = manifest.frames(0).frame();
+    const FrameEntry* entry = number ? (*from)->findFrame(*number) : nullptr;
     if (entry == nullptr)
-        return fail(ErrorCode::kNotFound, fmt::format("{}: no frame {}; there are: {}", name, frame,
-                                                      describeFrames((*from)->manifest())));
-    const auto same = [&](const OpenFrame& open) {
-        return open.frame == frame && open.footer_checksum == entry->footer_xxh64() && open.name == name;
-    };
+        return fail(ErrorCode::kNotFound,
+                    fmt::format("{}: no frame {}; there are: {}", name, number.value_or(0),
+                                manifest.frames_size() == 0 ? "none yet" : describeFrames(manifest)));
+    const auto same = [&](const OpenFrame& open) { return open.frame == *number && open.name == name; };
     {
         const std::lock_guard lock(mutex_);
         if (const auto open = std::find_if(frames_.begin(), frames_.end(), same); open != frames_.end()) {
-            frames_.splice(frames_.begin(), frames_, open);
-            return open->reader;
+            if (open->footer_checksum == entry->footer_xxh64()) {
+                frames_.splice(frames_.begin(), frames_, open);
+                return ServedFrame{*number, open->reader};
+            }
+            // Converted again: nobody must find the old one.
+            frames_.erase(open);
         }
     }
+    if (auto placed = checkPlace(**from, *entry); !placed) return tl::unexpected(placed.error());
     // Opened without the lock: a slow disk must not stop those whose frames are open.
-    auto store = (*from)->openFrame(frame);
-    if (!store) return tl::unexpected(store.error());
+    auto store = (*from)->openFrame(*number);
+    if (!store) {
+        // Perhaps there is no descriptor left for one more; those of frames that nobody reads are free to go.
+        const std::lock_guard lock(mutex_);
+        while (frames_.size() > 1 && frames_.back().reader.use_count() == 1) frames_.pop_back();
+        return tl::unexpected(store.error());
+    }
     auto reader = std::make_shared<const FrameReader>(std::move(*store), blocks_);
     const std::lock_guard lock(mutex_);
-    frames_.push_front({name, frame, entry->footer_xxh64(), reader});
+    // Another thread may have opened it meanwhile.
+    frames_.remove_if(same);
+    frames_.push_front({name, *number, entry->footer_xxh64(), reader});
     // Whoever still reads from a frame that leaves the list keeps it open.
     if (frames_.size() > max_open_frames_) frames_.pop_back();
-    return reader;
+    return ServedFrame{*number, reader};
+}
+
+Catalog::Changes Catalog::refresh() {
+    Changes changes;
+    const std::lock_guard lock(mutex_);
+    for (auto at = entries_.begin(); at != entries_.end();) {
+        auto& [name, entry] = *at;
+        // By what was asked meanwhile, too: whoever is told compares for himself.
+        const bool was_there = entry.dataset != nullptr;
+        if (look(entry)) {
+            changes.datasets.push_back(name);
+            if (was_there != (entry.dataset != nullptr)) changes.names = true;
+            // What was converted again, or is gone, is not what is open.
+            frames_.remove_if([&](const OpenFrame& open) {
+                if (open.name != name) return false;
+                const FrameEntry* now = entry.dataset ? entry.dataset->findFrame(open.frame) : nullptr;
+                return now == nullptr || now->footer_xxh64() != open.footer_checksum;
+            });
+        }
+        at = entry.from_library && !entry.dataset ? entries_.erase(at) : std::next(at);
+    }
+    for (const auto& library : libraries_) addFromLibrary(library, changes);
+    return changes;
+}
+
+Catalog::Counts Catalog::counts() const {
+    const std::lock_guard lock(mutex_);
+    Counts counts;
+    counts.block_cache_bytes = blocks_->usedBytes();
+    counts.block_cache_hits = blocks_->hits();
+    counts.block_cache_misses = blocks_->misses();
+    counts.open_frames = frames_.size();
+    for (const auto& [name, entry] : entries_)
+        if (entry.dataset) {
+            ++counts.datasets;
+            counts.frames += std::uint64_t(entry.dataset->manifest().frames_size());
+        }
+    return counts;
 }
 
 }  // namespace brickyard

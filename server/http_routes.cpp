@@ -8,10 +8,10 @@
 #include <optional>
 #include <set>
 #include <span>
+#include <vector>
 
 #include "core/percent_code.h"
 #include "proto/stream.pb.h"
-#include "server/conversation.h"
 
 namespace brickyard {
 namespace {
@@ -21,9 +21,11 @@ constexpr const char* kImmutable = "public, max-age=31536000, immutable";
 constexpr const char* kRevalidate = "no-cache";
 
 HttpReply text(unsigned status, std::string line) {
-    return {status,
-            {{"Content-Type", "text/plain; charset=utf-8"}, {"Cache-Control", "no-store"}},
-            std::move(line) + "\n"};
+    HttpReply reply;
+    reply.status = status;
+    reply.headers = "Content-Type: text/plain; charset=utf-8\r\nCache-Control: no-store\r\n";
+    reply.body = std::move(line) + "\n";
+    return reply;
 }
 
 HttpReply failed(const Error& error) {
@@ -51,17 +53,14 @@ bool matches(std::string_view list, std::string_view etag) {
     return false;
 }
 
-HttpReply document(const HttpRequest& request, std::string type, const char* caching, std::uint64_t checksum,
-                   std::string body) {
+std::string cachingHeaders(std::string_view etag, const char* caching) {
+    return fmt::format("ETag: {}\r\nCache-Control: {}\r\n", etag, caching);
+}
+
+HttpReply notModified(std::string_view etag, const char* caching) {
     HttpReply reply;
-    const std::string etag = etagOf(checksum);
-    reply.headers = {{"ETag", etag}, {"Cache-Control", caching}};
-    if (matches(request.if_none_match, etag)) {
-        reply.status = 304;
-        return reply;
-    }
-    reply.headers.emplace_back("Content-Type", std::move(type));
-    reply.body = std::move(body);
+    reply.status = 304;
+    reply.headers = cachingHeaders(etag, caching);
     return reply;
 }
 
@@ -75,16 +74,15 @@ HttpReply json(const HttpRequest& request, const google::protobuf::Message& mess
         return text(500, "this answer cannot be written as JSON; use the stream");
     body += '\n';
     const std::uint64_t sum = known_checksum ? *known_checksum : checksum(bytesOf(body));
-    return document(request, "application/json", kRevalidate, sum, std::move(body));
+    const std::string etag = etagOf(sum);
+    if (matches(request.if_none_match, etag)) return notModified(etag, kRevalidate);
+    HttpReply reply;
+    reply.headers = cachingHeaders(etag, kRevalidate) + "Content-Type: application/json\r\n";
+    reply.body = std::move(body);
+    return reply;
 }
 
-HttpReply stored(const HttpRequest& request, std::uint64_t sum, const Result<std::vector<std::byte>>& bytes) {
-    if (!bytes) return failed(bytes.error());
-    return document(request, "application/octet-stream", kImmutable, sum,
-                    std::string(reinterpret_cast<const char*>(bytes->data()), bytes->size()));
-}
-
-std::optional<std::uint32_t> numberOf(const std::string& text) {
+std::optional<std::uint32_t> numberOf(std::string_view text) {
     std::uint32_t number = 0;
     const char* end = text.data() + text.size();
     const auto [stop, error] = std::from_chars(text.data(), end, number);
@@ -109,10 +107,10 @@ Result<std::vector<std::string>> splitTarget(std::string_view target) {
     return parts;
 }
 
-HttpReply listing(const HttpRequest& request, const Catalog& catalog) {
+HttpReply listing(const HttpRequest& request, const Offer& offer) {
     CatalogListing listing;
-    for (const std::string& name : catalog.names()) {
-        const auto dataset = catalog.dataset(name);
+    for (const std::string& name : offer.names()) {
+        const auto dataset = offer.dataset(name);
         if (!dataset) continue;
         CatalogEntry& entry = *listing.add_datasets();
         entry.set_name(name);
@@ -126,64 +124,158 @@ HttpReply listing(const HttpRequest& request, const Catalog& catalog) {
     return json(request, listing);
 }
 
-HttpReply frameResource(const HttpRequest& request, const FrameReader& frame,
-                        std::span<const std::string> rest) {
-    if (rest.empty()) return json(request, frame.footer(), frame.store().footerChecksum());
-    // channels/C/blocks/B or channels/C/pages/B/N[/draft]
-    const bool is_block = rest.size() == 4 && rest[2] == "blocks";
-    const bool is_draft = rest.size() == 6 && rest[5] == "draft";
-    const bool is_page = (rest.size() == 5 || is_draft) && rest[2] == "pages";
-    if (rest[0] != "channels" || !(is_block || is_page))
-        return text(404, "nothing here; a frame has channels/C/blocks/B and channels/C/pages/B/N[/draft]");
+// channels/C/blocks/B or channels/C/pages/B/N[/draft]
+struct PagePath {
+    bool is_block = false;
+    PageAddress address;
+};
+
+std::optional<HttpReply> page(const HttpRequest& request, const FrameReader& frame, const PagePath& path,
+                              BatchPool& batches, ReadMode mode) {
+    const PageAddress& at = path.address;
+    std::uint64_t sum = 0;
+    std::size_t bytes = 0;
+    NodeRecord record;
+    if (path.is_block) {
+        if (const auto known = frame.storedBlockBytes(at.channel, at.block); !known)
+            return failed(known.error());
+        const BlockRef& ref = frame.footer().channels(int(at.channel)).blocks(int(at.block));
+        sum = ref.xxh64();
+        bytes = ref.bytes();
+    } else {
+        const auto found = frame.findBrick(at, mode);
+        if (!found && found.error().code == ErrorCode::kWouldBlock) return std::nullopt;
+        if (!found) return failed(found.error());
+        record = *found;
+        sum = at.draft ? record.draft_checksum : record.payload_checksum;
+        bytes = at.draft ? record.draft_bytes : record.payload_bytes;
+    }
+    const std::string etag = etagOf(sum);
+    if (matches(request.if_none_match, etag)) return notModified(etag, kImmutable);
+    HttpReply reply;
+    reply.page = batches.take(bytes);
+    if (!reply.page) {
+        auto busy = text(503, "the server is sending all that it may hold in memory; try again");
+        busy.headers += "Retry-After: 1\r\n";
+        return busy;
+    }
+    const std::span<std::byte> out(reply.page.data(), bytes);
+    const auto read = path.is_block ? frame.store().readBlockInto(at.channel, at.block, out, mode)
+                                    : frame.store().readPayloadInto(record, out, mode);
+    if (!read && read.error().code == ErrorCode::kWouldBlock) return std::nullopt;
+    if (!read) return failed(read.error());
+    reply.page_bytes = bytes;
+    reply.is_block = path.is_block;
+    reply.headers = cachingHeaders(etag, kImmutable) + "Content-Type: application/octet-stream\r\n";
+    return reply;
+}
+
+// What lies below /v1/datasets/NAME/frames/F; nothing where that is the frame itself.
+Result<std::optional<PagePath>> pagePathOf(std::span<const std::string> rest) {
+    if (rest.empty()) return std::optional<PagePath>();
+    PagePath path;
+    path.is_block = rest.size() == 4 && rest[2] == "blocks";
+    path.address.draft = rest.size() == 6 && rest[5] == "draft";
+    const bool is_page = (rest.size() == 5 || path.address.draft) && rest[2] == "pages";
+    if (rest[0] != "channels" || !(path.is_block || is_page))
+        return fail(ErrorCode::kNotFound,
+                    "nothing here; a frame has channels/C/blocks/B and channels/C/pages/B/N[/draft]");
     const auto channel = numberOf(rest[1]), block = numberOf(rest[3]);
     const auto node = is_page ? numberOf(rest[4]) : std::optional<std::uint32_t>(0);
-    if (!channel || !block || !node) return text(400, "channel, block and node are whole numbers from 0");
+    if (!channel || !block || !node)
+        return fail(ErrorCode::kInvalid, "channel, block and node are whole numbers from 0");
+    path.address.channel = *channel;
+    path.address.block = *block;
+    path.address.node = *node;
+    return std::optional(path);
+}
 
-    if (is_block) {
-        if (const auto known = frame.storedBlockBytes(*channel, *block); !known) return failed(known.error());
-        const BlockRef& ref = frame.footer().channels(int(*channel)).blocks(int(*block));
-        return stored(request, ref.xxh64(), frame.store().readBlock(*channel, *block));
+// Nothing where the request may not come in.
+std::optional<Access> accessOf(const HttpRequest& request, const AccessTokens& tokens) {
+    if (!tokens.required()) return Access{};
+    constexpr std::string_view kScheme = "Bearer ";
+    if (!request.authorization.starts_with(kScheme) ||
+        request.authorization.size() > kScheme.size() + AccessTokens::kMaxTokenBytes)
+        return std::nullopt;
+    const Access* found = tokens.find(request.authorization.substr(kScheme.size()));
+    return found == nullptr ? std::nullopt : std::optional(*found);
+}
+
+std::optional<HttpReply> datasetResource(const HttpRequest& request, std::span<const std::string> path,
+                                         const Offer& offer, BatchPool& batches, ReadMode mode) {
+    if (path.size() <= 3 || path[3] != "frames" || path.size() == 4) {
+        if (mode == ReadMode::kCachedOnly) return std::nullopt;
+        const auto dataset = offer.dataset(path[2]);
+        if (!dataset) return failed(dataset.error());
+        if (path.size() != 3) return text(404, "nothing here; a dataset has frames/F");
+        auto reply = json(request, (*dataset)->manifest());
+        reply.route = "manifest";
+        return reply;
     }
-    const auto record = frame.findBrick({*channel, *block, *node, is_draft});
-    if (!record) return failed(record.error());
-    return stored(request, is_draft ? record->draft_checksum : record->payload_checksum,
-                  frame.readBrick(*record, is_draft));
+    const auto number = numberOf(path[4]);
+    if (!number) return text(400, "a frame is a whole number from 0");
+    const auto wanted = pagePathOf(path.subspan(5));
+    if (!wanted) return failed(wanted.error());
+    std::shared_ptr<const FrameReader> frame = offer.openedFrame(path[2], *number);
+    // A footer is asked for by those who want to know whether it changed.
+    if (!frame || !*wanted) {
+        if (mode == ReadMode::kCachedOnly) return std::nullopt;
+        const auto opened = offer.frame(path[2], *number);
+        if (!opened) return failed(opened.error());
+        frame = opened->reader;
+    }
+    if (!*wanted) {
+        auto reply = json(request, frame->footer(), frame->store().footerChecksum());
+        reply.route = "footer";
+        return reply;
+    }
+    auto reply = page(request, *frame, **wanted, batches, mode);
+    if (reply) reply->route = "page";
+    return reply;
 }
 
 }  // namespace
 
-HttpReply answerHttp(const HttpRequest& request, const Catalog& catalog, const ServerOptions& options) {
+std::optional<HttpReply> answerHttp(const HttpRequest& request, const HttpServices& services, ReadMode mode) {
     if (request.method != "GET" && request.method != "HEAD") {
         auto reply = text(405, "only GET and HEAD are answered here");
-        reply.headers.emplace_back("Allow", "GET, HEAD");
+        reply.headers += "Allow: GET, HEAD\r\n";
         return reply;
     }
     const auto parts = splitTarget(request.target);
     if (!parts) return failed(parts.error());
     const std::span<const std::string> path = *parts;
-    if (path.size() == 1 && path[0] == "healthz") return text(200, "ok");
-    if (path.size() < 2 || path[0] != "v1" || path[1] != "datasets")
+    if (path.size() == 1 && path[0] == "healthz") {
+        auto reply = text(200, "ok");
+        reply.route = "healthz";
+        return reply;
+    }
+    const bool is_metrics = path.size() == 1 && path[0] == "metrics" && services.metrics;
+    if (!is_metrics && (path.size() < 2 || path[0] != "v1" || path[1] != "datasets"))
         return text(404, "nothing here; see /v1/datasets, or open a WebSocket for the stream");
 
-    if (!options.token.empty()) {
-        constexpr std::string_view kScheme = "Bearer ";
-        const std::string_view given = request.authorization;
-        if (!given.starts_with(kScheme) || !tokensMatch(options.token, given.substr(kScheme.size()))) {
-            auto reply = text(401, "this server asks for a token; send \"Authorization: Bearer TOKEN\"");
-            reply.headers.emplace_back("WWW-Authenticate", "Bearer");
-            return reply;
-        }
+    const auto access = accessOf(request, *services.tokens);
+    // What counts all datasets is for those who may see them all.
+    if (!access || (is_metrics && !access->datasets.empty())) {
+        auto reply = text(401, "this server asks for a token; send \"Authorization: Bearer TOKEN\"");
+        reply.headers += "WWW-Authenticate: Bearer\r\n";
+        return reply;
     }
-    if (path.size() == 2) return listing(request, catalog);
-    const auto dataset = catalog.dataset(path[2]);
-    if (!dataset) return failed(dataset.error());
-    if (path.size() == 3) return json(request, (*dataset)->manifest());
-    if (path[3] != "frames" || path.size() == 4) return text(404, "nothing here; a dataset has frames/F");
-    const auto number = numberOf(path[4]);
-    if (!number) return text(400, "a frame is a whole number from 0");
-    const auto frame = catalog.frame(path[2], *number);
-    if (!frame) return failed(frame.error());
-    return frameResource(request, **frame, path.subspan(5));
+    if (is_metrics) {
+        if (mode == ReadMode::kCachedOnly) return std::nullopt;
+        HttpReply reply;
+        reply.headers =
+            "Content-Type: text/plain; version=0.0.4; charset=utf-8\r\nCache-Control: no-store\r\n";
+        reply.body = services.metrics();
+        reply.route = "metrics";
+        return reply;
+    }
+    const Offer offer(*services.catalog, *access);
+    if (path.size() > 2) return datasetResource(request, path, offer, *services.batches, mode);
+    if (mode == ReadMode::kCachedOnly) return std::nullopt;
+    auto reply = listing(request, offer);
+    reply.route = "datasets";
+    return reply;
 }
 
 }  // namespace brickyard

@@ -2,16 +2,18 @@
 
 #include <fmt/format.h>
 
-#include <boost/asio/dispatch.hpp>
+#include <algorithm>
+#include <array>
 #include <boost/asio/post.hpp>
+#include <boost/asio/write.hpp>
 #include <boost/beast/core/flat_buffer.hpp>
-#include <boost/beast/core/tcp_stream.hpp>
 #include <boost/beast/http.hpp>
 #include <boost/beast/websocket/rfc6455.hpp>
 #include <optional>
 
 #include "server/http_routes.h"
 #include "server/stream_session.h"
+#include "transport/any_stream.h"
 
 namespace brickyard {
 namespace {
@@ -23,49 +25,95 @@ using ErrorCondition = boost::system::error_code;
 
 constexpr std::uint32_t kMaxRequestHeaderBytes = 16u << 10;
 constexpr std::uint64_t kMaxRequestBodyBytes = 1u << 10;  // of a GET: read and ignored
+constexpr std::size_t kMaxRequestIdBytes = 128;
+
+std::string_view viewOf(beast::string_view text) { return {text.data(), text.size()}; }
 
 // A page in a browser may not use its user's way to this server: a browser names the page's origin, which
-// must then be the host that the request was sent to.
-bool isForeignOrigin(const http::fields& request) {
+// must then be the host that the request was sent to, or one that was allowed.
+bool isForeignOrigin(const http::fields& request, const std::vector<std::string>& allowed) {
     const auto origin = request.find(http::field::origin);
     if (origin == request.end()) return false;
-    std::string_view from(origin->value().data(), origin->value().size());
+    std::string_view from = viewOf(origin->value());
+    for (const std::string& good : allowed)
+        if (good == "*" || good == from) return false;
     if (const auto scheme = from.find("://"); scheme != std::string_view::npos)
         from.remove_prefix(scheme + 3);
-    const auto host = request[http::field::host];
-    return from != std::string_view(host.data(), host.size());
+    return from != viewOf(request[http::field::host]);
 }
 
-std::string textOf(beast::string_view text) { return {text.data(), text.size()}; }
+// A name for the request that its sender, the log and the answer share; the sender's where it is harmless.
+std::string requestIdOf(const http::fields& request, std::uint64_t number) {
+    const std::string_view given = viewOf(request["X-Request-Id"]);
+    const bool harmless = !given.empty() && given.size() <= kMaxRequestIdBytes &&
+                          std::all_of(given.begin(), given.end(), [](char c) { return c > ' ' && c <= '~'; });
+    return harmless ? std::string(given) : fmt::format("{:x}", number);
+}
 
-class HttpSession : public std::enable_shared_from_this<HttpSession> {
+class HttpSession : public std::enable_shared_from_this<HttpSession>, private Timed {
 public:
-    HttpSession(asio::ip::tcp::socket socket, std::unique_ptr<ConnectionList::Slot> slot,
-                ServerContext& context)
-        : stream_(std::move(socket)), slot_(std::move(slot)), context_(context) {}
+    HttpSession(std::unique_ptr<ByteStream> stream, std::unique_ptr<ConnectionList::Slot> slot,
+                IoThread& thread, ServerContext& context)
+        : Timed(thread),
+          thread_(thread),
+          stream_(std::move(stream)),
+          slot_(std::move(slot)),
+          context_(context),
+          services_{context.catalog.get(), nullptr, &context.batches, {}} {
+        context_.metrics.connectionOpened(Via::kHttp);
+    }
+    ~HttpSession() override { context_.metrics.connectionClosed(Via::kHttp); }
 
     void start() {
         slot_->onClose([weak = weak_from_this(), executor = stream_.get_executor()] {
             asio::post(executor, [weak] {
-                if (const auto self = weak.lock()) self->stream_.close();
+                if (const auto self = weak.lock()) self->leave();
             });
         });
-        asio::dispatch(stream_.get_executor(),
-                       [self = shared_from_this()] { self->read(self->context_.options.handshake_timeout); });
+        services_.metrics = [&context = context_] { return metricsText(context); };
+        expireAfter(context_.options.handshake_timeout);
+        stream_.bytes().asyncHandshake(
+            OnceHandler([self = shared_from_this()](ErrorCondition error, std::size_t) {
+                if (error) {
+                    self->context_.log->info("a TLS handshake failed: {}", error.message());
+                    self->context_.metrics.error("refused");
+                    return self->stream_.bytes().close();
+                }
+                self->read();
+            }));
     }
 
 private:
-    void read(std::chrono::milliseconds patience) {
+    static std::string metricsText(ServerContext& context) {
+        const auto counts = context.catalog->counts();
+        Metrics::Gauges now;
+        now.queued_bytes = context.batches.usedBytes();
+        now.queue_limit_bytes = context.batches.budgetBytes();
+        now.wish_bytes = context.wishes.usedBytes();
+        now.wish_limit_bytes = context.wishes.limitBytes();
+        now.block_cache_bytes = counts.block_cache_bytes;
+        now.block_cache_hits = counts.block_cache_hits;
+        now.block_cache_misses = counts.block_cache_misses;
+        now.open_frames = counts.open_frames;
+        now.datasets = counts.datasets;
+        now.frames = counts.frames;
+        return context.metrics.text(now);
+    }
+
+    // The deadline is for the whole request, so that one byte at a time does not put it off.
+    void read() {
+        if (leaving_) return shutdown();
+        idle_ = true;
         parser_.emplace();
         parser_->header_limit(kMaxRequestHeaderBytes);
         parser_->body_limit(kMaxRequestBodyBytes);
-        stream_.expires_after(patience);
         http::async_read(
             stream_, buffer_, *parser_,
             [self = shared_from_this()](ErrorCondition error, std::size_t) { self->onRead(error); });
     }
 
     void onRead(ErrorCondition error) {
+        idle_ = false;
         if (error == http::error::end_of_stream || error == http::error::partial_message) return shutdown();
         if (error == http::error::header_limit) return refuse(431, "the request's header is over 16 KiB");
         if (error == http::error::body_limit) return refuse(413, "a request has no body here");
@@ -73,82 +121,159 @@ private:
             return refuse(400, "this is not an HTTP/1.1 request: " + error.message());
         if (error) return;  // a broken or silent peer: nobody is left to tell
 
+        began_ = Clock::now();
         if (beast::websocket::is_upgrade(parser_->get())) return upgrade();
-        const auto& request = parser_->get();
-        HttpRequest plain;
-        plain.method = textOf(request.method_string());
-        plain.target = textOf(request.target());
-        plain.if_none_match = textOf(request[http::field::if_none_match]);
-        plain.authorization = textOf(request[http::field::authorization]);
-        HttpReply reply;
+        answer(ReadMode::kCachedOnly);
+    }
+
+    HttpRequest request() const {
+        const auto& message = parser_->get();
+        return {viewOf(message.method_string()), viewOf(message.target()),
+                viewOf(message[http::field::if_none_match]), viewOf(message[http::field::authorization])};
+    }
+
+    // On the connection's thread from memory alone, else on a worker's.
+    void answer(ReadMode mode) {
+        std::optional<HttpReply> reply;
         // The rest of the session must go on whatever memory one answer wanted.
         try {
-            reply = answerHttp(plain, *context_.catalog, context_.options);
+            if (mode == ReadMode::kCachedOnly) tokens_ = context_.tokens.get();
+            services_.tokens = tokens_.get();
+            const auto began = Clock::now();
+            reply = answerHttp(request(), services_, mode);
+            if (mode == ReadMode::kMayBlock)
+                context_.metrics.diskRead(std::chrono::duration<double>(Clock::now() - began).count());
         } catch (const std::bad_alloc&) {
-            reply.status = 503;
-            reply.body = "out of memory; try again later\n";
+            reply.emplace();
+            reply->status = 503;
+            reply->body = "out of memory; try again later\n";
+            context_.metrics.error("memory");
         }
-        write(std::move(reply), request.method() == http::verb::head, request.keep_alive(),
-              request.version());
+        if (mode == ReadMode::kMayBlock)
+            return asio::post(stream_.get_executor(),
+                              [self = shared_from_this(), held = std::move(*reply)]() mutable {
+                                  self->write(std::move(held));
+                              });
+        if (reply) return write(std::move(*reply));
+        expireNever();  // the disk takes as long as it takes
+        asio::post(context_.workers, [self = shared_from_this()] { self->answer(ReadMode::kMayBlock); });
     }
 
     void upgrade() {
-        const auto& request = parser_->get();
-        const std::string target = textOf(request.target());
-        const std::string path = target.substr(0, target.find('?'));
-        if (path != "/v1/stream" && path.find('/', 1) != std::string::npos)
+        const auto& message = parser_->get();
+        const std::string_view target = viewOf(message.target());
+        const std::string_view path = target.substr(0, target.find('?'));
+        if (path != "/v1/stream" && path.find('/', 1) != std::string_view::npos)
             return refuse(404, "the stream is at /v1/stream or at /NAME");
-        if (isForeignOrigin(request))
+        if (isForeignOrigin(message, context_.options.allowed_origins)) {
+            context_.metrics.error("refused");
             return refuse(403, "a web page of another origin may not open the stream of this server");
-        stream_.expires_never();
-        startStreamSession(stream_.release_socket(), parser_->release(), std::move(slot_), context_);
+        }
+        expireNever();
+        startStreamSession(stream_.release(), parser_->release(), std::move(slot_), thread_, context_);
     }
 
     void refuse(unsigned status, const std::string& why) {
         HttpReply reply;
         reply.status = status;
-        reply.headers.emplace_back("Content-Type", "text/plain; charset=utf-8");
+        reply.headers = "Content-Type: text/plain; charset=utf-8\r\n";
         reply.body = why + "\n";
-        write(std::move(reply), false, false, 11);
+        keep_alive_ = false;
+        write(std::move(reply));
     }
 
-    void write(HttpReply reply, bool head_only, bool keep_alive, unsigned version) {
-        response_ = {};
-        response_.version(version);
-        response_.result(reply.status);
-        response_.set(http::field::server, "brickyard");
-        for (const auto& [name, value] : reply.headers) response_.set(name, value);
-        response_.keep_alive(keep_alive);
+    void write(HttpReply reply) {
+        reply_ = std::move(reply);
+        const auto& message = parser_->get();
+        const bool head_only = message.method() == http::verb::head;
+        keep_alive_ = keep_alive_ && !leaving_ && message.keep_alive();
+        const std::size_t body_bytes = reply_.page ? reply_.page_bytes : reply_.body.size();
+        const std::string id = requestIdOf(message, context_.next_id.fetch_add(1, std::memory_order_relaxed));
+
+        head_.clear();
+        const auto status = http::obsolete_reason(http::int_to_status(reply_.status));
+        fmt::format_to(std::back_inserter(head_),
+                       "HTTP/1.1 {} {}\r\nServer: brickyard\r\nDate: {}\r\nX-Request-Id: {}\r\n",
+                       reply_.status, viewOf(status), thread_.date(), id);
+        head_ += reply_.headers;
         // A 304 has no length of its own, and HEAD tells the length of what it leaves out.
-        if (reply.status != 304) response_.content_length(reply.body.size());
-        if (!head_only) response_.body() = std::move(reply.body);
-        stream_.expires_after(context_.options.idle_timeout);
-        http::async_write(stream_, response_,
-                          [self = shared_from_this(), keep_alive](ErrorCondition error, std::size_t) {
-                              if (error) return;
-                              if (!keep_alive) return self->shutdown();
-                              self->read(self->context_.options.idle_timeout);
-                          });
+        if (reply_.status != 304)
+            fmt::format_to(std::back_inserter(head_), "Content-Length: {}\r\n", body_bytes);
+        if (!keep_alive_)
+            head_ += "Connection: close\r\n";
+        else if (message.version() < 11)
+            head_ += "Connection: keep-alive\r\n";
+        head_ += "\r\n";
+
+        sent_bytes_ = head_only || reply_.status == 304 ? 0 : body_bytes;
+        const asio::const_buffer body = reply_.page ? asio::const_buffer(reply_.page.data(), sent_bytes_)
+                                                    : asio::const_buffer(reply_.body.data(), sent_bytes_);
+        expireAfter(context_.options.idle_timeout);
+        if (context_.log->should_log(spdlog::level::debug))
+            context_.log->debug("request={} {} {} {} {} bytes", id, viewOf(message.method_string()),
+                                printable(viewOf(message.target())), reply_.status, sent_bytes_);
+        asio::async_write(
+            stream_, std::array<asio::const_buffer, 2>{asio::buffer(head_), body},
+            [self = shared_from_this()](ErrorCondition error, std::size_t) { self->onWritten(error); });
+    }
+
+    void onWritten(ErrorCondition error) {
+        if (error) return;
+        context_.metrics.httpRequest(reply_.route, reply_.status,
+                                     std::chrono::duration<double>(Clock::now() - began_).count());
+        if (reply_.page && sent_bytes_ > 0)
+            context_.metrics.pageSent(Via::kHttp, reply_.is_block, sent_bytes_, 0);
+        if (reply_.status >= 500) context_.metrics.error(reply_.status == 503 ? "memory" : "disk");
+        reply_ = {};
+        tokens_.reset();
+        if (!keep_alive_) return shutdown();
+        expireAfter(context_.options.idle_timeout);
+        read();
+    }
+
+    static std::string printable(std::string_view text) {
+        std::string clean;
+        for (const char c : text.substr(0, 512)) clean += c > ' ' && c <= '~' ? c : '?';
+        return clean;
+    }
+
+    // The server stops: what is being answered is answered.
+    void leave() {
+        leaving_ = true;
+        if (idle_) stream_.bytes().close();
     }
 
     void shutdown() {
-        ErrorCondition ignored;
-        stream_.socket().shutdown(asio::ip::tcp::socket::shutdown_send, ignored);
+        expireAfter(context_.options.drain_timeout);
+        stream_.bytes().asyncShutdown(
+            OnceHandler([self = shared_from_this()](ErrorCondition, std::size_t) {}));
     }
 
-    beast::tcp_stream stream_;
+    void onDeadline() override {
+        if (idle_) context_.metrics.error("timeout");
+        stream_.bytes().close();
+    }
+
+    IoThread& thread_;
+    AnyStream stream_;
     std::unique_ptr<ConnectionList::Slot> slot_;
     ServerContext& context_;
+    HttpServices services_;
+    std::shared_ptr<const AccessTokens> tokens_;  // that this request is checked against
     beast::flat_buffer buffer_{kMaxRequestHeaderBytes + kMaxRequestBodyBytes};
     std::optional<http::request_parser<http::string_body>> parser_;
-    http::response<http::string_body> response_;
+    HttpReply reply_;
+    std::string head_;
+    std::size_t sent_bytes_ = 0;  // of the body
+    Clock::time_point began_;
+    bool keep_alive_ = true, leaving_ = false, idle_ = false;
 };
 
 }  // namespace
 
-void startHttpSession(asio::ip::tcp::socket socket, std::unique_ptr<ConnectionList::Slot> slot,
-                      ServerContext& context) {
-    std::make_shared<HttpSession>(std::move(socket), std::move(slot), context)->start();
+void startHttpSession(std::unique_ptr<ByteStream> stream, std::unique_ptr<ConnectionList::Slot> slot,
+                      IoThread& thread, ServerContext& context) {
+    std::make_shared<HttpSession>(std::move(stream), std::move(slot), thread, context)->start();
 }
 
 }  // namespace brickyard

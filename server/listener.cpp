@@ -1,14 +1,16 @@
 #include "server/listener.h"
 
+#include <fcntl.h>
 #include <fmt/format.h>
+#include <unistd.h>
 
 #include <boost/asio/buffer.hpp>
 #include <boost/asio/post.hpp>
-#include <boost/asio/strand.hpp>
-#include <boost/asio/write.hpp>
 #include <chrono>
 
 #include "server/http_session.h"
+#include "transport/plain_stream.h"
+#include "transport/tls_stream.h"
 
 namespace brickyard {
 namespace {
@@ -17,10 +19,13 @@ namespace asio = boost::asio;
 using asio::ip::tcp;
 using ErrorCondition = boost::system::error_code;
 
-// Out of file descriptors, say: trying again at once would only burn the processor.
+// After an error that may last, trying again at once would only burn the processor.
 constexpr std::chrono::milliseconds kPauseAfterError{100};
 
-void turnAway(tcp::socket socket) {
+int openSpare() { return ::open("/dev/null", O_RDONLY | O_CLOEXEC); }
+
+template <class Socket>
+void turnAway(Socket socket) {
     static constexpr std::string_view kFull =
         "HTTP/1.1 503 Service Unavailable\r\nContent-Type: text/plain\r\nContent-Length: 53\r\nConnection: "
         "close\r\n\r\n"
@@ -34,13 +39,21 @@ void turnAway(tcp::socket socket) {
 
 }  // namespace
 
-Listener::Listener(asio::io_context& io, ServerContext& context)
-    : io_(io), context_(context), acceptor_(asio::make_strand(io)), pause_(acceptor_.get_executor()) {}
+Listener::Listener(const std::vector<std::unique_ptr<IoThread>>& threads, ServerContext& context)
+    : threads_(threads),
+      context_(context),
+      acceptor_(threads.front()->io()),
+      pause_(threads.front()->io()),
+      spare_descriptor_(openSpare()) {}
+
+Listener::~Listener() {
+    if (spare_descriptor_ >= 0) ::close(spare_descriptor_);
+}
 
 Result<std::uint16_t> Listener::open() {
     const ServerOptions& options = context_.options;
     ErrorCondition error;
-    tcp::resolver resolver(io_);
+    tcp::resolver resolver(acceptor_.get_executor());
     const auto found =
         resolver.resolve(options.host, std::to_string(options.port), tcp::resolver::passive, error);
     if (error || found.empty())
@@ -56,6 +69,17 @@ Result<std::uint16_t> Listener::open() {
         return fail(ErrorCode::kIo,
                     fmt::format("cannot listen on {}:{}: {}; choose another address with --listen",
                                 options.host, options.port, error.message()));
+    if (!endpoint.address().is_loopback() && !context_.tokens.get()->required())
+        context_.log->critical(
+            "ANYBODY who reaches {}:{} can read every dataset: this is not the loopback address, and no "
+            "token is asked "
+            "for; give --token-file, or listen on 127.0.0.1",
+            options.host, acceptor_.local_endpoint().port());
+    if (!endpoint.address().is_loopback() && !context_.tls.get())
+        context_.log->warn(
+            "tokens and data cross the network in the clear; give --tls-cert and --tls-key, or put a proxy "
+            "that "
+            "encrypts in front");
     return acceptor_.local_endpoint().port();
 }
 
@@ -73,21 +97,52 @@ void Listener::stop() {
 
 void Listener::accept() {
     if (!acceptor_.is_open()) return;
-    acceptor_.async_accept(
-        asio::make_strand(io_), [self = shared_from_this()](ErrorCondition error, tcp::socket socket) {
-            if (error == asio::error::operation_aborted) return;
-            if (error) {
-                self->context_.log->warn("cannot accept a connection: {}", error.message());
-                self->pause_.expires_after(kPauseAfterError);
-                self->pause_.async_wait([self](ErrorCondition) { self->accept(); });
-                return;
-            }
-            if (auto slot = self->context_.connections.take())
-                startHttpSession(std::move(socket), std::move(slot), self->context_);
-            else
-                turnAway(std::move(socket));
-            self->accept();
-        });
+    IoThread& thread = *threads_[next_thread_++ % threads_.size()];
+    acceptor_.async_accept(thread.io(),
+                           [self = shared_from_this(), &thread](ErrorCondition error, auto socket) {
+                               if (error == asio::error::operation_aborted) return;
+                               if (error) return self->onError(error);
+                               self->serve(std::move(socket), thread);
+                               self->accept();
+                           });
+}
+
+void Listener::serve(ByteStream::Socket socket, IoThread& thread) {
+    ErrorCondition error;
+    const auto from = socket.remote_endpoint(error);
+    if (error) return;  // gone already
+    auto slot = context_.connections.take(from.address());
+    if (!slot) {
+        context_.metrics.connectionRefused(
+            context_.connections.count() >= context_.options.max_connections ? "full" : "address");
+        return turnAway(std::move(socket));
+    }
+    // Small answers must not wait for the peer's acknowledgement of the one before.
+    socket.set_option(tcp::no_delay(true), error);
+    auto tls = context_.tls.get();
+    auto stream =
+        tls ? makeTlsServerStream(std::move(socket), std::move(tls)) : makePlainStream(std::move(socket));
+    asio::post(thread.io(),
+               [stream = std::move(stream), slot = std::move(slot), &thread, &context = context_]() mutable {
+                   startHttpSession(std::move(stream), std::move(slot), thread, context);
+               });
+}
+
+void Listener::onError(ErrorCondition error) {
+    const bool no_descriptor = error == asio::error::no_descriptors || error.value() == ENFILE;
+    context_.log->warn("cannot accept a connection: {}", error.message());
+    if (no_descriptor) {
+        context_.metrics.connectionRefused("descriptors");
+        // Whoever waits in the queue is told, instead of being left there.
+        ::close(spare_descriptor_);
+        ErrorCondition still;
+        acceptor_.non_blocking(true, still);
+        auto socket = acceptor_.accept(still);
+        if (!still) turnAway(std::move(socket));
+        spare_descriptor_ = openSpare();
+    }
+    pause_.expires_after(kPauseAfterError);
+    pause_.async_wait([self = shared_from_this()](ErrorCondition) { self->accept(); });
 }
 
 }  // namespace brickyard

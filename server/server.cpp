@@ -1,85 +1,127 @@
 #include "server/server.h"
 
-#include <spdlog/sinks/stdout_sinks.h>
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
-#include <boost/asio/executor_work_guard.hpp>
-#include <boost/asio/io_context.hpp>
-#include <optional>
+#include <boost/asio/post.hpp>
 #include <thread>
 #include <vector>
 
+#include "server/io_threads.h"
 #include "server/listener.h"
+#include "server/server_log.h"
 
 namespace brickyard {
 namespace {
 
-// How long a goodbye may take before connections are cut.
-constexpr std::chrono::milliseconds kGoodbye{2000};
+namespace asio = boost::asio;
 
-std::shared_ptr<spdlog::logger> makeLog(bool verbose) {
-    // Not registered: several servers may run in one process.
-    auto log = std::make_shared<spdlog::logger>("brickyard serve",
-                                                std::make_shared<spdlog::sinks::stderr_sink_mt>());
-    log->set_level(verbose ? spdlog::level::info : spdlog::level::warn);
-    return log;
+Result<std::shared_ptr<const AccessTokens>> loadTokens(const ServerOptions& options) {
+    if (options.token_file.empty())
+        return options.token.empty() ? std::make_shared<const AccessTokens>()
+                                     : std::make_shared<const AccessTokens>(options.token);
+    auto tokens = AccessTokens::read(options.token_file);
+    if (!tokens) return tl::unexpected(tokens.error());
+    return std::make_shared<const AccessTokens>(std::move(*tokens));
+}
+
+Result<TlsContext> loadTls(const ServerOptions& options) {
+    if (options.tls_certificate.empty() && options.tls_key.empty()) return TlsContext();
+    return loadServerTls(options.tls_certificate, options.tls_key);
+}
+
+// How late a deadline may be noticed.
+std::chrono::milliseconds tickOf(const ServerOptions& options) {
+    const auto shortest = std::min(options.handshake_timeout, options.idle_timeout);
+    return std::clamp(shortest / 4, std::chrono::milliseconds(10), std::chrono::milliseconds(250));
 }
 
 }  // namespace
 
 struct Server::State {
-    State(std::unique_ptr<const Catalog> catalog, const ServerOptions& options)
-        : context(std::move(catalog), options, makeLog(options.verbose)),
-          io(int(std::max<std::size_t>(options.threads, 1))),
-          work(io.get_executor()) {}
+    State(std::unique_ptr<Catalog> catalog, const ServerOptions& options,
+          std::shared_ptr<const AccessTokens> tokens, TlsContext tls)
+        : context(std::move(catalog), options, std::move(tokens), std::move(tls), makeServerLog(options)) {
+        for (std::size_t i = 0; i < std::max<std::size_t>(options.threads, 1); ++i)
+            threads.push_back(
+                std::make_unique<IoThread>(tickOf(options), [log = context.log](const std::string& what) {
+                    log->error("a connection ended by an exception: {}", what);
+                }));
+        timer.emplace(threads.front()->io());
+    }
 
-    // Declared in this order: the sessions that `io` still holds when it goes refer to `context`.
+    // Looks on a worker for what changed in the folders, now and then.
+    void watchFolders() {
+        timer->expires_after(context.options.rescan);
+        timer->async_wait([this](boost::system::error_code error) {
+            if (error) return;
+            asio::post(context.workers, [this] {
+                const auto changes = context.catalog->refresh();
+                for (const std::string& warning : changes.warnings) context.log->warn("{}", warning);
+                for (const std::string& name : changes.datasets)
+                    context.log->info("dataset {:?} changed", name);
+                if (changes.names || !changes.datasets.empty()) context.connections.tellNews();
+                asio::post(threads.front()->io(), [this] { watchFolders(); });
+            });
+        });
+    }
+
+    // Declared in this order: the sessions that the threads' loops still hold when they go refer to
+    // `context`.
     ServerContext context;
-    boost::asio::io_context io;
-    boost::asio::executor_work_guard<boost::asio::io_context::executor_type> work;
+    std::vector<std::unique_ptr<IoThread>> threads;
+    std::optional<asio::steady_timer> timer;
     std::shared_ptr<Listener> listener;
-    std::vector<std::thread> threads;
     std::uint16_t port = 0;
+    bool stopped = false;
 };
 
 Server::Server(std::unique_ptr<State> state) : state_(std::move(state)) {}
 
 Server::~Server() { stop(); }
 
-Result<std::unique_ptr<Server>> Server::start(std::unique_ptr<const Catalog> catalog, ServerOptions options) {
-    auto state = std::make_unique<State>(std::move(catalog), options);
-    state->listener = std::make_shared<Listener>(state->io, state->context);
+Result<std::unique_ptr<Server>> Server::start(std::unique_ptr<Catalog> catalog, ServerOptions options) {
+    auto tokens = loadTokens(options);
+    if (!tokens) return tl::unexpected(tokens.error());
+    auto tls = loadTls(options);
+    if (!tls) return tl::unexpected(tls.error());
+    auto state = std::make_unique<State>(std::move(catalog), options, std::move(*tokens), std::move(*tls));
+    state->listener = std::make_shared<Listener>(state->threads, state->context);
     const auto port = state->listener->open();
     if (!port) return tl::unexpected(port.error());
     state->port = *port;
     state->listener->start();
-    for (std::size_t i = 0; i < std::max<std::size_t>(options.threads, 1); ++i)
-        state->threads.emplace_back([raw = state.get()] {
-            for (;;) {
-                // What one connection throws must not end the others.
-                try {
-                    raw->io.run();
-                    return;
-                } catch (const std::exception& error) {
-                    raw->context.log->error("a connection ended by an exception: {}", error.what());
-                }
-            }
-        });
+    State* raw = state.get();
+    asio::post(raw->threads.front()->io(), [raw] { raw->watchFolders(); });
     return std::unique_ptr<Server>(new Server(std::move(state)));
 }
 
 std::uint16_t Server::port() const { return state_->port; }
 
+Result<void> Server::reload() {
+    ServerContext& context = state_->context;
+    auto tokens = loadTokens(context.options);
+    if (!tokens) return tl::unexpected(tokens.error());
+    auto tls = loadTls(context.options);
+    if (!tls) return tl::unexpected(tls.error());
+    context.tokens.set(std::move(*tokens));
+    context.tls.set(std::move(*tls));
+    context.connections.tellNews();
+    context.log->info("certificate, key and tokens were read again");
+    return {};
+}
+
 void Server::stop() {
-    if (state_->threads.empty()) return;
+    if (state_->stopped) return;
+    state_->stopped = true;
+    ServerContext& context = state_->context;
     state_->listener->stop();
-    state_->context.connections.closeAll();
-    state_->context.connections.waitUntilEmpty(kGoodbye);
-    state_->work.reset();
-    state_->io.stop();
-    for (std::thread& thread : state_->threads) thread.join();
-    state_->threads.clear();
+    context.connections.closeAll();
+    context.connections.waitUntilEmpty(context.options.drain_timeout);
+    // Workers post to the threads, and threads to the workers: both must end before either's queue goes.
+    for (auto& thread : state_->threads) thread->stop();
+    context.workers.stop();
+    context.workers.join();
 }
 
 }  // namespace brickyard

@@ -1,28 +1,69 @@
-// What every connection of a server shares. Outlives them all.
+// What every connection of a server shares. Outlives them all. Any thread.
 #pragma once
 
 #include <spdlog/logger.h>
 
+#include <atomic>
+#include <boost/asio/thread_pool.hpp>
 #include <memory>
+#include <mutex>
 
+#include "server/access_tokens.h"
+#include "server/batch_pool.h"
+#include "server/byte_budget.h"
 #include "server/catalog.h"
 #include "server/connection_list.h"
+#include "server/metrics.h"
 #include "server/server_options.h"
+#include "transport/tls_context.h"
 
 namespace brickyard {
 
+// A value that is replaced as a whole while others read it.
+template <class T>
+class Current {
+public:
+    explicit Current(T value) : value_(std::move(value)) {}
+    T get() const {
+        const std::lock_guard lock(mutex_);
+        return value_;
+    }
+    void set(T value) {
+        const std::lock_guard lock(mutex_);
+        value_ = std::move(value);
+    }
+
+private:
+    mutable std::mutex mutex_;
+    T value_;
+};
+
 struct ServerContext {
-    ServerContext(std::unique_ptr<const Catalog> the_catalog, ServerOptions the_options,
+    ServerContext(std::unique_ptr<Catalog> the_catalog, ServerOptions the_options,
+                  std::shared_ptr<const AccessTokens> the_tokens, TlsContext the_tls,
                   std::shared_ptr<spdlog::logger> the_log)
         : catalog(std::move(the_catalog)),
           options(std::move(the_options)),
           log(std::move(the_log)),
-          connections(options.max_connections) {}
+          tokens(std::move(the_tokens)),
+          tls(std::move(the_tls)),
+          connections(options.max_connections, options.max_connections_per_address),
+          batches(options.queue_bytes),
+          wishes(options.wish_bytes),
+          workers(options.disk_threads) {}
 
-    const std::unique_ptr<const Catalog> catalog;
+    const std::unique_ptr<Catalog> catalog;
     const ServerOptions options;
     const std::shared_ptr<spdlog::logger> log;
+    Current<std::shared_ptr<const AccessTokens>> tokens;
+    Current<TlsContext> tls;  // empty: in the clear
+    Metrics metrics;
     ConnectionList connections;
+    BatchPool batches;
+    ByteBudget wishes;
+    std::atomic<std::uint64_t> next_id{1};  // of connections and requests, for the log
+    // For what may wait for the disk, or takes long.
+    boost::asio::thread_pool workers;
 };
 
 }  // namespace brickyard

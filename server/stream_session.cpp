@@ -1,15 +1,16 @@
 #include "server/stream_session.h"
 
-#include <array>
+#include <netinet/tcp.h>
+
+#include <atomic>
 #include <boost/asio/post.hpp>
-#include <boost/asio/steady_timer.hpp>
 #include <boost/beast/core/flat_buffer.hpp>
-#include <boost/beast/core/tcp_stream.hpp>
 #include <boost/beast/websocket.hpp>
-#include <chrono>
+#include <deque>
 
 #include "core/stream_frame.h"
 #include "server/conversation.h"
+#include "server/frame_lane.h"
 
 namespace brickyard {
 namespace {
@@ -19,56 +20,81 @@ namespace beast = boost::beast;
 namespace http = beast::http;
 namespace websocket = beast::websocket;
 using ErrorCondition = boost::system::error_code;
-using Clock = std::chrono::steady_clock;
 
-constexpr std::size_t kReadBytes = 64u << 10;
+constexpr std::size_t kReadBytes = 4u << 10, kKeptReadBytes = 64u << 10;
+// Messages that came and wait for a worker; then no more is read.
+constexpr std::size_t kMaxInbox = 8;
+// What the socket may hold that the network did not take yet: little, so that a new wish finds little on its
+// way, and enough that the network never waits for us.
+constexpr int kUnsentBytes = 256 << 10;
 
-class StreamSession : public std::enable_shared_from_this<StreamSession> {
+// Who touches what: the connection's thread owns the socket and everything here, but for `talk_`, which
+// belongs to a worker while `working_`. A worker receives messages, and reads from the disk what memory does
+// not have; pages that are in memory are sent without one.
+class StreamSession : public std::enable_shared_from_this<StreamSession>, private Timed {
 public:
-    StreamSession(asio::ip::tcp::socket socket, http::request<http::string_body> upgrade,
-                  std::unique_ptr<ConnectionList::Slot> slot, ServerContext& context)
-        : stream_(std::move(socket)),
+    StreamSession(std::unique_ptr<ByteStream> stream, http::request<http::string_body> upgrade,
+                  std::unique_ptr<ConnectionList::Slot> slot, IoThread& thread, ServerContext& context)
+        : Timed(thread),
+          stream_(std::move(stream)),
           upgrade_(std::move(upgrade)),
           slot_(std::move(slot)),
           context_(context),
-          talk_(*context.catalog, context.options),
-          watchdog_(stream_.get_executor()) {}
+          talk_({context.catalog.get(), &context.wishes, &context.metrics,
+                 [&context] { return context.tokens.get(); }}),
+          id_(context.next_id.fetch_add(1, std::memory_order_relaxed)) {
+        context_.metrics.connectionOpened(Via::kStream);
+    }
 
-    ~StreamSession() {
-        context_.log->info("stream of {:?} ended: {} messages, {} payload bytes sent", talk_.clientName(),
-                           sent_messages_, sent_bytes_);
+    ~StreamSession() override {
+        context_.metrics.connectionClosed(Via::kStream);
+        context_.log->info("stream={} client={:?} ended: {} bytes sent{}", id_, talk_.clientName(),
+                           lane().sentBytes(), why_.empty() ? "" : "; " + why_);
     }
 
     void start() {
-        slot_->onClose([weak = weak_from_this(), executor = stream_.get_executor()] {
-            asio::post(executor, [weak] {
-                if (const auto self = weak.lock()) self->close(websocket::close_code::going_away);
-            });
-        });
+        const auto post = [weak = weak_from_this(), executor = stream_.get_executor()](auto what) {
+            return [weak, executor, what] {
+                asio::post(executor, [weak, what] {
+                    if (const auto self = weak.lock()) what(*self);
+                });
+            };
+        };
+        slot_->onClose(post([](StreamSession& self) { self.close(websocket::close_code::going_away); }));
+        slot_->onNews(post([](StreamSession& self) {
+            self.news_ = true;
+            self.pump();
+        }));
         const ServerOptions& options = context_.options;
         // A peer that is alive answers Beast's pings; one that is gone is dropped after the idle time.
         stream_.set_option(
             websocket::stream_base::timeout{options.handshake_timeout, options.idle_timeout, true});
         stream_.set_option(websocket::stream_base::decorator(
             [](websocket::response_type& response) { response.set(http::field::server, "brickyard"); }));
-        stream_.binary(true);
-        stream_.auto_fragment(false);
-        // One message is one write: waiting to fill a segment would only delay it.
+        stream_.read_message_max(kMaxClientMessageBytes + 1);
         ErrorCondition ignored;
-        beast::get_lowest_layer(stream_).socket().set_option(asio::ip::tcp::no_delay(true), ignored);
-        deadline_ = Clock::now() + options.handshake_timeout;
+        auto& socket = lane().bytes().socket();
+        // One batch is one write: waiting to fill a segment would only delay it.
+        socket.set_option(asio::ip::tcp::no_delay(true), ignored);
+        socket.set_option(asio::detail::socket_option::integer<IPPROTO_TCP, TCP_NOTSENT_LOWAT>(kUnsentBytes),
+                          ignored);
+        setDeadline();
         stream_.async_accept(upgrade_, [self = shared_from_this()](ErrorCondition error) {
             self->upgrade_ = {};
             self->accepted_ = true;
-            if (error || self->closing_) return;
-            self->watch();
+            if (self->closing_) return;
+            if (error) return self->drop("its handshake failed");
+            self->context_.log->info("stream={} opened{}", self->id_,
+                                     self->lane().bytes().encryption().empty() ? "" : " under TLS");
             self->read();
         });
     }
 
 private:
+    FrameLane& lane() { return stream_.next_layer(); }
+
     void read() {
-        if (reading_ || closing_ || talk_.over() || talk_.backlogged()) return;
+        if (reading_ || closing_ || ending_ || backlogged_ || inbox_.size() >= kMaxInbox) return;
         reading_ = true;
         stream_.async_read_some(
             in_, kReadBytes,
@@ -77,103 +103,217 @@ private:
 
     void onRead(ErrorCondition error) {
         reading_ = false;
-        if (error) return drop();
+        // Beast ends the connection by itself where the peer breaks the protocol of WebSocket.
+        if (error == websocket::error::message_too_big)
+            return refuse("a message is over the limit of 1048576 bytes");
+        if (error) return drop(error == websocket::error::closed ? "" : error.message());
         // A peer may still speak after it was refused; nobody listens.
-        if (talk_.over() || closing_) return;
-        if (!stream_.got_binary()) {
-            talk_.refuse("a text message; the stream has binary ones only");
-        } else if (in_.size() > kMaxClientMessageBytes) {
-            talk_.refuse("a message is over the limit of 1048576 bytes");
-        } else if (stream_.is_message_done()) {
+        if (ending_ || closing_) return;
+        if (!stream_.got_binary()) return refuse("a text message; the stream has binary ones only");
+        if (in_.size() > kMaxClientMessageBytes)
+            return refuse("a message is over the limit of 1048576 bytes");
+        if (stream_.is_message_done()) {
             const auto data = in_.cdata();
-            talk_.receive({static_cast<const std::byte*>(data.data()), data.size()});
+            const auto* begin = static_cast<const std::byte*>(data.data());
+            inbox_.emplace_back(begin, begin + data.size());
+            interrupted_ = true;
             // A long wish must not hold its memory for the life of the connection.
             in_.clear();
-            if (in_.capacity() > 2 * kReadBytes) in_.shrink_to_fit();
+            if (in_.capacity() > kKeptReadBytes) in_.shrink_to_fit();
+            message_began_.reset();
+            setDeadline();
+        } else if (!message_began_) {
+            message_began_ = Clock::now();
+            setDeadline();
         }
         pump();
         read();
     }
 
-    // Writes the next message unless one is being written. A wish that was read meanwhile has replaced the
-    // older one by then, so no more than one message of that one still goes out.
+    void refuse(const std::string& why) {
+        refusal_ = why;
+        ending_ = true;
+        pump();
+    }
+
+    // Goes on with whatever can be done now.
     void pump() {
-        if (writing_ || closing_) return;
-        auto message = talk_.next();
-        if (!message) {
+        if (working_ || closing_) return;
+        if (refusal_ && !talk_.over()) talk_.refuse(*refusal_);
+        if (!inbox_.empty() || news_) return work({});
+        if (lane().writing() || awaiting_memory_) return;
+        if (!talk_.hasMore()) {
             if (talk_.over()) close(websocket::close_code::policy_error);
             return;
         }
-        out_ = std::move(*message);
-        writing_ = true;
+        OutBatch batch = takeBatch();
+        if (!batch) return;
+        const auto filled = talk_.fill(batch, ReadMode::kCachedOnly, [] { return false; });
+        noteAnswers();
+        if (!batch.empty()) return send(std::move(batch));
+        if (filled == Conversation::Filled::kWaits) return work(std::move(batch));
+        if (filled == Conversation::Filled::kFull) {
+            needed_ = talk_.neededBytes();
+            batch = {};
+            pump();
+        }
+    }
+
+    OutBatch takeBatch() {
+        OutBatch batch(context_.batches.take(std::max(needed_, kBatchBytes)));
+        needed_ = 0;
+        if (!batch) {
+            awaiting_memory_ = true;
+            context_.batches.await([weak = weak_from_this(), executor = stream_.get_executor()] {
+                asio::post(executor, [weak] {
+                    const auto self = weak.lock();
+                    if (!self) return;
+                    self->awaiting_memory_ = false;
+                    self->pump();
+                });
+            });
+        }
+        return batch;
+    }
+
+    // A worker receives what came, and then fills `batch` where there is one.
+    void work(OutBatch batch) {
+        working_ = true;
+        interrupted_ = false;
+        std::deque<std::vector<std::byte>> messages;
+        messages.swap(inbox_);
+        const bool news = std::exchange(news_, false);
+        if (!batch && !lane().writing() && !awaiting_memory_)
+            batch = OutBatch(context_.batches.take());  // saves the way back and forth, where there is memory
+        asio::post(context_.workers,
+                   [self = shared_from_this(), messages = std::move(messages), news,
+                    batch = std::move(batch)]() mutable { self->workOn(messages, news, std::move(batch)); });
+    }
+
+    // On a worker's thread: nothing of the session but talk_ and interrupted_ may be touched.
+    void workOn(const std::deque<std::vector<std::byte>>& messages, bool news, OutBatch batch) {
+        const auto began = Clock::now();
+        const std::uint64_t wishes_before = talk_.wishCount();
+        try {
+            for (const auto& message : messages)
+                if (!talk_.over()) talk_.receive(message);
+            if (news) talk_.tellNews();
+            if (batch)
+                talk_.fill(batch, ReadMode::kMayBlock,
+                           [&] { return interrupted_.load(std::memory_order_relaxed); });
+        } catch (const std::bad_alloc&) {
+            batch = {};
+            if (!talk_.over()) talk_.refuseBusy("the server is out of memory; try again later");
+        }
+        context_.metrics.diskRead(std::chrono::duration<double>(Clock::now() - began).count());
+        const bool replaced = talk_.wishCount() != wishes_before;
+        asio::post(stream_.get_executor(),
+                   [self = shared_from_this(), replaced, batch = std::move(batch)]() mutable {
+                       self->onWorked(replaced, std::move(batch));
+                   });
+    }
+
+    void onWorked(bool replaced, OutBatch batch) {
+        working_ = false;
+        if (closing_) return;
+        if (replaced) lane().dropPages();
+        if (!established_ && talk_.established()) {
+            established_ = true;
+            setDeadline();
+        }
+        if (talk_.over()) ending_ = true;
+        noteAnswers();
+        if (batch && !batch.empty()) {
+            // What came meanwhile may be a new wish: then these pages are not sent, and the client, who
+            // counts on nothing, will wish for what it still wants.
+            send(std::move(batch));
+            if (!inbox_.empty()) pump();
+        } else {
+            batch = {};
+            pump();
+        }
+        read();
+    }
+
+    void noteAnswers() { backlogged_ = talk_.backlogged(); }
+
+    void send(OutBatch batch) {
         write_began_ = Clock::now();
-        const std::array<asio::const_buffer, 2> buffers{asio::buffer(out_.head), asio::buffer(out_.payload)};
-        stream_.async_write(buffers, [self = shared_from_this()](ErrorCondition error, std::size_t) {
-            self->writing_ = false;
-            if (error) return self->drop();
-            ++self->sent_messages_;
-            self->sent_bytes_ += self->out_.payload.size();
+        setDeadline();
+        lane().write(std::move(batch), [self = shared_from_this()](ErrorCondition error) {
+            if (error) return self->drop(error.message());
+            self->write_began_.reset();
+            self->setDeadline();
             self->pump();
             self->read();
         });
     }
 
-    // Looks now and then whether the peer took too long: to open a dataset, or to read one message.
-    void watch() {
-        const auto tick =
-            std::min<Clock::duration>(std::chrono::seconds(1), context_.options.handshake_timeout / 4);
-        watchdog_.expires_after(tick);
-        // Weak: the timer alone must not keep a session alive whose peer has left.
-        watchdog_.async_wait([weak = weak_from_this()](ErrorCondition error) {
-            const auto self = weak.lock();
-            if (error || !self || self->closing_) return;
-            const auto now = Clock::now();
-            if (self->writing_ && now - self->write_began_ > self->context_.options.idle_timeout)
-                return self->drop();
-            if (!self->talk_.established() && !self->talk_.over() && now > self->deadline_) {
-                self->talk_.refuse(
-                    "no dataset was opened in time; send Hello and Open right after connecting");
-                self->pump();
-            }
-            self->watch();
-        });
+    // The first of what the peer has a limited time for: to open a dataset, to end a message that it began (a
+    // byte at a time must not take for ever), to take what it is sent.
+    void setDeadline() {
+        const ServerOptions& options = context_.options;
+        auto first = Clock::time_point::max();
+        if (!established_) first = began_ + options.handshake_timeout;
+        if (message_began_) first = std::min(first, *message_began_ + options.handshake_timeout);
+        if (write_began_) first = std::min(first, *write_began_ + options.idle_timeout);
+        expireAt(first);
+    }
+
+    void onDeadline() override {
+        if (closing_) return drop("");
+        context_.metrics.error("timeout");
+        if (ending_ || established_ || lane().writing() || working_) return drop("it was too slow");
+        expireAfter(context_.options.drain_timeout);
+        refuse("no dataset was opened in time; send Hello and Open right after connecting");
     }
 
     void close(websocket::close_code code) {
         if (closing_) return;
         // A WebSocket that is still being made cannot say goodbye.
-        if (!accepted_) return drop();
+        if (!accepted_) return drop("");
         closing_ = true;
-        watchdog_.cancel();
-        // Bounded by the handshake timeout.
+        lane().dropAll();
+        expireAfter(context_.options.drain_timeout);
         stream_.async_close(code, [self = shared_from_this()](ErrorCondition) {});
     }
 
-    void drop() {
+    void drop(const std::string& why) {
+        if (why_.empty()) why_ = why;
         closing_ = true;
-        watchdog_.cancel();
-        beast::get_lowest_layer(stream_).close();
+        expireNever();
+        lane().bytes().close();
     }
 
-    websocket::stream<beast::tcp_stream> stream_;
+    websocket::stream<FrameLane, false> stream_;
     http::request<http::string_body> upgrade_;
     std::unique_ptr<ConnectionList::Slot> slot_;
     ServerContext& context_;
     Conversation talk_;
-    asio::steady_timer watchdog_;
-    Clock::time_point deadline_;  // for the first dataset
+    const std::uint64_t id_;
+
     beast::flat_buffer in_;
-    OutMessage out_;  // lives while it is being written
-    Clock::time_point write_began_;
-    bool accepted_ = false, reading_ = false, writing_ = false, closing_ = false;
-    std::uint64_t sent_messages_ = 0, sent_bytes_ = 0;
+    std::deque<std::vector<std::byte>> inbox_;
+    // Something came that the worker must look at before it reads on.
+    std::atomic<bool> interrupted_{false};
+    std::optional<std::string> refusal_;
+    std::size_t needed_ = 0;  // of memory for the next batch, where that is more than usual
+    const Clock::time_point began_ = Clock::now();
+    std::optional<Clock::time_point> write_began_, message_began_;
+    std::string why_;  // it ended, for the log
+    bool accepted_ = false, reading_ = false, working_ = false, awaiting_memory_ = false, news_ = false;
+    bool established_ = false, backlogged_ = false;
+    bool ending_ = false;   // nothing more is read
+    bool closing_ = false;  // nothing more is sent
 };
 
 }  // namespace
 
-void startStreamSession(asio::ip::tcp::socket socket, http::request<http::string_body> upgrade,
-                        std::unique_ptr<ConnectionList::Slot> slot, ServerContext& context) {
-    std::make_shared<StreamSession>(std::move(socket), std::move(upgrade), std::move(slot), context)->start();
+void startStreamSession(std::unique_ptr<ByteStream> stream, http::request<http::string_body> upgrade,
+                        std::unique_ptr<ConnectionList::Slot> slot, IoThread& thread,
+                        ServerContext& context) {
+    std::make_shared<StreamSession>(std::move(stream), std::move(upgrade), std::move(slot), thread, context)
+        ->start();
 }
 
 }  // namespace brickyard

@@ -189,6 +189,8 @@ TEST_F(HttpTest, ServesFramesThatAreAddedMeanwhile) {
         std::filesystem::copy(
             tiny_.folder() / what, spaced_.folder() / what,
             std::filesystem::copy_options::recursive | std::filesystem::copy_options::overwrite_existing);
+    for (int tries = 0; tries < 100 && get("/v1/datasets/my%20plume/frames/7").status != 200; ++tries)
+        std::this_thread::sleep_for(std::chrono::milliseconds(20));
     EXPECT_EQ(get("/v1/datasets/my%20plume/frames/7").status, 200);
 }
 
