@@ -4,7 +4,9 @@
 #include <google/protobuf/util/json_util.h>
 
 #include <algorithm>
+#include <array>
 #include <charconv>
+#include <deque>
 #include <optional>
 #include <set>
 #include <span>
@@ -19,6 +21,10 @@ namespace {
 // Pages and blocks are immutable; a manifest grows.
 constexpr const char* kImmutable = "public, max-age=31536000, immutable";
 constexpr const char* kRevalidate = "no-cache";
+
+constexpr const char* kBinary = "Content-Type: application/octet-stream\r\n";
+// Below this, copying costs less than one more system call.
+constexpr std::size_t kLeastSentAsFile = 24u << 10;
 
 HttpReply text(unsigned status, std::string line) {
     HttpReply reply;
@@ -90,22 +96,43 @@ std::optional<std::uint32_t> numberOf(std::string_view text) {
     return number;
 }
 
-// "/a/b%20c?x" as {"a", "b c"}. Names only ever look something up in the catalog and never become paths.
-Result<std::vector<std::string>> splitTarget(std::string_view target) {
-    target = target.substr(0, target.find('?'));
-    if (!target.starts_with('/'))
-        return fail(ErrorCode::kInvalid, "the request's target does not begin with '/'");
-    std::vector<std::string> parts;
-    while (!target.empty()) {
-        target.remove_prefix(1);
-        const auto slash = target.find('/');
-        auto part = percentDecode(target.substr(0, slash));
-        if (!part) return tl::unexpected(part.error());
-        parts.push_back(std::move(*part));
-        target = slash == std::string_view::npos ? std::string_view{} : target.substr(slash);
+// The parts of "/a/b%20c?x": "a", "b c". Names only ever look something up in the catalog and never become
+// paths.
+class TargetPath {
+public:
+    static constexpr std::size_t kMaxParts = 12;  // more than any resource has
+
+    // Errors: kInvalid; kNotFound (too deep for anything that is here).
+    static Result<std::unique_ptr<TargetPath>> parse(std::string_view target) {
+        target = target.substr(0, target.find('?'));
+        if (!target.starts_with('/'))
+            return fail(ErrorCode::kInvalid, "the request's target does not begin with '/'");
+        auto path = std::make_unique<TargetPath>();
+        while (!target.empty()) {
+            target.remove_prefix(1);
+            const auto slash = target.find('/');
+            std::string_view part = target.substr(0, slash);
+            if (part.find('%') != std::string_view::npos) {
+                auto decoded = percentDecode(part);
+                if (!decoded) return tl::unexpected(decoded.error());
+                part = path->decoded_.emplace_back(std::move(*decoded));
+            } else if (part.find('\0') != std::string_view::npos) {
+                return fail(ErrorCode::kInvalid, "a name holds a zero byte; remove it");
+            }
+            if (path->count_ == kMaxParts)
+                return fail(ErrorCode::kNotFound, "nothing here; see /v1/datasets for what there is");
+            path->parts_[path->count_++] = part;
+            target = slash == std::string_view::npos ? std::string_view{} : target.substr(slash);
+        }
+        return path;
     }
-    return parts;
-}
+    std::span<const std::string_view> parts() const { return {parts_.data(), count_}; }
+
+private:
+    std::array<std::string_view, kMaxParts> parts_;
+    std::size_t count_ = 0;
+    std::deque<std::string> decoded_;  // whose bytes parts_ may point to
+};
 
 HttpReply listing(const HttpRequest& request, const Offer& offer) {
     CatalogListing listing;
@@ -130,8 +157,9 @@ struct PagePath {
     PageAddress address;
 };
 
-std::optional<HttpReply> page(const HttpRequest& request, const FrameReader& frame, const PagePath& path,
-                              BatchPool& batches, ReadMode mode) {
+std::optional<HttpReply> page(const HttpRequest& request, const std::shared_ptr<const FrameReader>& held,
+                              const PagePath& path, const HttpServices& services, ReadMode mode) {
+    const FrameReader& frame = *held;
     const PageAddress& at = path.address;
     std::uint64_t sum = 0;
     std::size_t bytes = 0;
@@ -153,7 +181,19 @@ std::optional<HttpReply> page(const HttpRequest& request, const FrameReader& fra
     const std::string etag = etagOf(sum);
     if (matches(request.if_none_match, etag)) return notModified(etag, kImmutable);
     HttpReply reply;
-    reply.page = batches.take(bytes);
+    reply.page_bytes = bytes;
+    reply.is_block = path.is_block;
+    if (!path.is_block && bytes >= kLeastSentAsFile && services.can_send_file) {
+        const auto range = frame.store().cachedPayload(record, bytes);
+        if (!range) return failed(range.error());
+        if (*range) {
+            reply.headers = cachingHeaders(etag, kImmutable) + kBinary;
+            reply.file = held;
+            reply.begin = (*range)->begin;
+            return reply;
+        }
+    }
+    reply.page = services.batches->take(bytes);
     if (!reply.page) {
         auto busy = text(503, "the server is sending all that it may hold in memory; try again");
         busy.headers += "Retry-After: 1\r\n";
@@ -164,14 +204,12 @@ std::optional<HttpReply> page(const HttpRequest& request, const FrameReader& fra
                                     : frame.store().readPayloadInto(record, out, mode);
     if (!read && read.error().code == ErrorCode::kWouldBlock) return std::nullopt;
     if (!read) return failed(read.error());
-    reply.page_bytes = bytes;
-    reply.is_block = path.is_block;
-    reply.headers = cachingHeaders(etag, kImmutable) + "Content-Type: application/octet-stream\r\n";
+    reply.headers = cachingHeaders(etag, kImmutable) + kBinary;
     return reply;
 }
 
 // What lies below /v1/datasets/NAME/frames/F; nothing where that is the frame itself.
-Result<std::optional<PagePath>> pagePathOf(std::span<const std::string> rest) {
+Result<std::optional<PagePath>> pagePathOf(std::span<const std::string_view> rest) {
     if (rest.empty()) return std::optional<PagePath>();
     PagePath path;
     path.is_block = rest.size() == 4 && rest[2] == "blocks";
@@ -201,11 +239,11 @@ std::optional<Access> accessOf(const HttpRequest& request, const AccessTokens& t
     return found == nullptr ? std::nullopt : std::optional(*found);
 }
 
-std::optional<HttpReply> datasetResource(const HttpRequest& request, std::span<const std::string> path,
-                                         const Offer& offer, BatchPool& batches, ReadMode mode) {
+std::optional<HttpReply> datasetResource(const HttpRequest& request, std::span<const std::string_view> path,
+                                         const Offer& offer, const HttpServices& services, ReadMode mode) {
     if (path.size() <= 3 || path[3] != "frames" || path.size() == 4) {
         if (mode == ReadMode::kCachedOnly) return std::nullopt;
-        const auto dataset = offer.dataset(path[2]);
+        const auto dataset = offer.dataset(std::string(path[2]));
         if (!dataset) return failed(dataset.error());
         if (path.size() != 3) return text(404, "nothing here; a dataset has frames/F");
         auto reply = json(request, (*dataset)->manifest());
@@ -216,11 +254,12 @@ std::optional<HttpReply> datasetResource(const HttpRequest& request, std::span<c
     if (!number) return text(400, "a frame is a whole number from 0");
     const auto wanted = pagePathOf(path.subspan(5));
     if (!wanted) return failed(wanted.error());
-    std::shared_ptr<const FrameReader> frame = offer.openedFrame(path[2], *number);
+    const std::string name(path[2]);
+    std::shared_ptr<const FrameReader> frame = offer.openedFrame(name, *number);
     // A footer is asked for by those who want to know whether it changed.
     if (!frame || !*wanted) {
         if (mode == ReadMode::kCachedOnly) return std::nullopt;
-        const auto opened = offer.frame(path[2], *number);
+        const auto opened = offer.frame(name, *number);
         if (!opened) return failed(opened.error());
         frame = opened->reader;
     }
@@ -229,7 +268,7 @@ std::optional<HttpReply> datasetResource(const HttpRequest& request, std::span<c
         reply.route = "footer";
         return reply;
     }
-    auto reply = page(request, *frame, **wanted, batches, mode);
+    auto reply = page(request, frame, **wanted, services, mode);
     if (reply) reply->route = "page";
     return reply;
 }
@@ -242,9 +281,9 @@ std::optional<HttpReply> answerHttp(const HttpRequest& request, const HttpServic
         reply.headers += "Allow: GET, HEAD\r\n";
         return reply;
     }
-    const auto parts = splitTarget(request.target);
-    if (!parts) return failed(parts.error());
-    const std::span<const std::string> path = *parts;
+    const auto target = TargetPath::parse(request.target);
+    if (!target) return failed(target.error());
+    const std::span<const std::string_view> path = (*target)->parts();
     if (path.size() == 1 && path[0] == "healthz") {
         auto reply = text(200, "ok");
         reply.route = "healthz";
@@ -271,7 +310,7 @@ std::optional<HttpReply> answerHttp(const HttpRequest& request, const HttpServic
         return reply;
     }
     const Offer offer(*services.catalog, *access);
-    if (path.size() > 2) return datasetResource(request, path, offer, *services.batches, mode);
+    if (path.size() > 2) return datasetResource(request, path, offer, services, mode);
     if (mode == ReadMode::kCachedOnly) return std::nullopt;
     auto reply = listing(request, offer);
     reply.route = "datasets";

@@ -25,7 +25,7 @@ using ErrorCondition = boost::system::error_code;
 
 constexpr std::uint32_t kMaxRequestHeaderBytes = 16u << 10;
 constexpr std::uint64_t kMaxRequestBodyBytes = 1u << 10;  // of a GET: read and ignored
-constexpr std::size_t kMaxRequestIdBytes = 128;
+constexpr std::size_t kMaxRequestIdBytes = 128, kReadBytes = 4u << 10;
 
 std::string_view viewOf(beast::string_view text) { return {text.data(), text.size()}; }
 
@@ -59,7 +59,7 @@ public:
           stream_(std::move(stream)),
           slot_(std::move(slot)),
           context_(context),
-          services_{context.catalog.get(), nullptr, &context.batches, {}} {
+          services_{context.catalog.get(), nullptr, &context.batches, stream_.bytes().canSendFile(), {}} {
         context_.metrics.connectionOpened(Via::kHttp);
     }
     ~HttpSession() override { context_.metrics.connectionClosed(Via::kHttp); }
@@ -107,9 +107,34 @@ private:
         parser_.emplace();
         parser_->header_limit(kMaxRequestHeaderBytes);
         parser_->body_limit(kMaxRequestBodyBytes);
-        http::async_read(
-            stream_, buffer_, *parser_,
-            [self = shared_from_this()](ErrorCondition error, std::size_t) { self->onRead(error); });
+        // What is there of the next request already, from a peer that does not wait for answers.
+        // Posted: a thousand of them must not stand on each other's stack.
+        if (buffer_.size() > 0)
+            return asio::post(stream_.get_executor(), [self = shared_from_this()] { self->parse(); });
+        readSome();
+    }
+
+    void readSome() {
+        if (buffer_.size() == buffer_.max_size()) return refuse(431, "the request's header is over 16 KiB");
+        const auto into = buffer_.prepare(std::min(kReadBytes, buffer_.max_size() - buffer_.size()));
+        stream_.bytes().asyncReadSome(
+            into, OnceHandler([self = shared_from_this()](ErrorCondition error, std::size_t bytes) {
+                self->buffer_.commit(bytes);
+                if (error == asio::error::eof)
+                    error =
+                        self->parser_->got_some() ? http::error::partial_message : http::error::end_of_stream;
+                if (error) return self->onRead(error);
+                self->parse();
+            }));
+    }
+
+    // As http::async_read does it, with one handler a read instead of several.
+    void parse() {
+        ErrorCondition error;
+        const std::size_t used = parser_->put(buffer_.data(), error);
+        buffer_.consume(used);
+        if (error == http::error::need_more || (!error && !parser_->is_done())) return readSome();
+        onRead(error);
     }
 
     void onRead(ErrorCondition error) {
@@ -187,7 +212,7 @@ private:
         const auto& message = parser_->get();
         const bool head_only = message.method() == http::verb::head;
         keep_alive_ = keep_alive_ && !leaving_ && message.keep_alive();
-        const std::size_t body_bytes = reply_.page ? reply_.page_bytes : reply_.body.size();
+        const std::size_t body_bytes = reply_.page || reply_.file ? reply_.page_bytes : reply_.body.size();
         const std::string id = requestIdOf(message, context_.next_id.fetch_add(1, std::memory_order_relaxed));
 
         head_.clear();
@@ -206,22 +231,53 @@ private:
         head_ += "\r\n";
 
         sent_bytes_ = head_only || reply_.status == 304 ? 0 : body_bytes;
-        const asio::const_buffer body = reply_.page ? asio::const_buffer(reply_.page.data(), sent_bytes_)
-                                                    : asio::const_buffer(reply_.body.data(), sent_bytes_);
         expireAfter(context_.options.idle_timeout);
         if (context_.log->should_log(spdlog::level::debug))
             context_.log->debug("request={} {} {} {} {} bytes", id, viewOf(message.method_string()),
                                 printable(viewOf(message.target())), reply_.status, sent_bytes_);
+        if (reply_.file && sent_bytes_ > 0) return writeFile();
+        writeRest(asio::buffer(head_), reply_.page ? asio::const_buffer(reply_.page.data(), sent_bytes_)
+                                                   : asio::const_buffer(reply_.body.data(), sent_bytes_));
+    }
+
+    // Most answers fit the socket as it is: then nothing has to be waited for.
+    void writeRest(asio::const_buffer head, asio::const_buffer body) {
+        ErrorCondition error;
+        const std::size_t written = stream_.bytes().writeNow(WriteBuffers(head, body), error);
+        if (error == asio::error::would_block) error = {};
+        const std::size_t of_head = std::min(written, head.size());
+        head += of_head;
+        body += written - of_head;
+        if (error || head.size() + body.size() == 0) return onWritten(error);
         asio::async_write(
-            stream_, std::array<asio::const_buffer, 2>{asio::buffer(head_), body},
-            [self = shared_from_this()](ErrorCondition error, std::size_t) { self->onWritten(error); });
+            stream_, std::array<asio::const_buffer, 2>{head, body},
+            [self = shared_from_this()](ErrorCondition failed, std::size_t) { self->onWritten(failed); });
+    }
+
+    void writeFile() {
+        // More follows: one segment for the head's end and the file's begin.
+        ErrorCondition error;
+        auto& socket = stream_.bytes().socket();
+        if (!socket.non_blocking()) socket.non_blocking(true, error);
+        const std::size_t sent = socket.send(asio::buffer(head_), MSG_MORE, error);
+        if (error == asio::error::would_block) error = {};
+        if (error) return onWritten(error);
+        const auto send_file = [self = shared_from_this()](ErrorCondition failed, std::size_t) {
+            if (failed) return self->onWritten(failed);
+            const HttpReply& reply = self->reply_;
+            self->stream_.bytes().asyncSendFile(
+                reply.file->store().descriptor(), reply.begin, reply.begin + self->sent_bytes_,
+                OnceHandler([self](ErrorCondition ended, std::size_t) { self->onWritten(ended); }));
+        };
+        if (sent == head_.size()) return send_file({}, 0);
+        asio::async_write(stream_, asio::buffer(head_) + sent, send_file);
     }
 
     void onWritten(ErrorCondition error) {
         if (error) return;
         context_.metrics.httpRequest(reply_.route, reply_.status,
                                      std::chrono::duration<double>(Clock::now() - began_).count());
-        if (reply_.page && sent_bytes_ > 0)
+        if (reply_.page_bytes > 0 && sent_bytes_ > 0)
             context_.metrics.pageSent(Via::kHttp, reply_.is_block, sent_bytes_, 0);
         if (reply_.status >= 500) context_.metrics.error(reply_.status == 503 ? "memory" : "disk");
         reply_ = {};

@@ -1,7 +1,7 @@
 #include "transport/tls_stream.h"
 
-#include <array>
 #include <boost/asio/ip/address.hpp>
+#include <boost/asio/post.hpp>
 #include <boost/asio/ssl/host_name_verification.hpp>
 #include <boost/asio/ssl/stream.hpp>
 
@@ -38,6 +38,15 @@ public:
         for (const asio::const_buffer& buffer : from)
             if (buffer.size() > 0) return stream_.async_write_some(buffer, std::move(done));
         stream_.async_write_some(asio::const_buffer(), std::move(done));
+    }
+    std::size_t writeNow(const WriteBuffers&, ErrorCondition& error) override {
+        error = asio::error::would_block;
+        return 0;
+    }
+    bool canSendFile() const override { return false; }
+    void asyncSendFile(int, std::uint64_t, std::uint64_t, OnceHandler done) override {
+        asio::post(stream_.get_executor(),
+                   [done = std::move(done)]() mutable { done(asio::error::operation_not_supported, 0); });
     }
     void asyncShutdown(OnceHandler done) override {
         stream_.async_shutdown([done = std::move(done)](ErrorCondition error) mutable { done(error, 0); });
