@@ -247,6 +247,9 @@ def checkWithTools(command):
 
 def main():
     command = os.path.abspath(sys.argv[1]) if len(sys.argv) > 1 else None
+    if command and not os.access(command, os.X_OK):
+        print(f"{command}: not built; run tools/build release brickyard")
+        return 1
     types = documented()
     expect(types, "docs/deploy.md: the table of metrics is gone")
     checkFiles()
