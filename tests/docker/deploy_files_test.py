@@ -146,8 +146,9 @@ def runningMetrics(command, folder):
             with open(said) as file:
                 expect(False, f"brickyard serve does not listen: {file.read().strip()}")
             return None
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=30) as reply:
-            text = reply.read().decode()
+        for path in ("healthz", "metrics"):  # something is counted once there was something
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/{path}", timeout=30) as reply:
+                text = reply.read().decode()
         return dict(re.findall(r"^# TYPE (\S+) (\S+)$", text, re.M))
     except urllib.error.URLError as error:
         expect(False, f"/metrics: {error}")
@@ -228,7 +229,7 @@ def checkWithTools(command):
                     "docker/nginx/nginx.conf")
         if promtool := tool("promtool", "prometheus"):
             runTool([promtool, "check", "rules", ROOT + "/docker/prometheus/alerts.yml"], "alerts.yml")
-            text = read("docker/prometheus/prometheus.yml").replace("/run/secrets/token", folder + "/token")
+            text = read("docker/prometheus/prometheus.yml").replace("/run/secrets/metrics_token", folder + "/token")
             for name, content in (("token", "sesame\n"), ("prometheus.yml", text),
                                   ("alerts.yml", read("docker/prometheus/alerts.yml"))):
                 with open(os.path.join(folder, name), "w") as file:
