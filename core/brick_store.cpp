@@ -3,7 +3,6 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/stat.h>
-#include <sys/syscall.h>
 #include <sys/uio.h>
 #include <unistd.h>
 #include <xxhash.h>
@@ -97,20 +96,6 @@ std::string footerFault(const FrameFooter& footer, std::uint64_t footer_offset) 
     if (const auto twin = std::adjacent_find(names.begin(), names.end()); twin != names.end())
         return fmt::format("two channels are named '{}'", printableName(*twin));
     return {};
-}
-
-// cachestat(2), which the C library does not know yet.
-bool isInPageCache(int descriptor, const ByteRange& range) {
-    constexpr long kCachestat = 451;
-    constexpr std::uint64_t kPage = 4096;
-    struct {
-        std::uint64_t offset, length;
-    } const asked{range.begin, range.end - range.begin};
-    struct {
-        std::uint64_t cached, dirty, writeback, evicted, recently_evicted;
-    } found{};
-    if (::syscall(kCachestat, descriptor, &asked, &found, 0) != 0) return false;
-    return found.cached >= (range.end + kPage - 1) / kPage - range.begin / kPage;
 }
 
 }  // namespace
@@ -263,15 +248,6 @@ Result<void> BrickStore::readPayloadInto(const NodeRecord& record, std::span<std
     assert(out.size() <= record.payload_bytes);
     if (auto sound = checkPayloadRange(record); !sound) return sound;
     return readAt(record.payload_offset, out.data(), out.size(), mode);
-}
-
-Result<std::optional<ByteRange>> BrickStore::cachedPayload(const NodeRecord& record,
-                                                           std::size_t bytes) const {
-    assert(bytes <= record.payload_bytes);
-    if (auto sound = checkPayloadRange(record); !sound) return tl::unexpected(sound.error());
-    const ByteRange range{record.payload_offset, record.payload_offset + bytes};
-    if (!isInPageCache(descriptor_, range)) return std::optional<ByteRange>();
-    return std::optional(range);
 }
 
 Result<std::vector<std::byte>> BrickStore::readPayloadUnchecked(const NodeRecord& record) const {

@@ -6,7 +6,6 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
-#include <optional>
 #include <span>
 #include <vector>
 
@@ -58,9 +57,6 @@ public:
     // The first out.size() bytes of it, into memory of the caller's. REQUIRES: out.size() <=
     // record.payload_bytes. Errors: those above; kWouldBlock.
     Result<void> readPayloadInto(const NodeRecord& record, std::span<std::byte> out, ReadMode mode) const;
-    // Where those bytes lie in the file, for sendfile; nothing where some are not in the page cache of the
-    // operating system, or it cannot tell (Linux before 6.5). Errors: kCorrupt (outside the file).
-    Result<std::optional<ByteRange>> cachedPayload(const NodeRecord& record, std::size_t bytes) const;
     // A stored tree block, not verified. REQUIRES: the footer has the block, and out.size() is its size.
     // Errors: kIo, kCorrupt, kWouldBlock.
     Result<void> readBlockInto(std::uint32_t channel, std::uint32_t block, std::span<std::byte> out,

@@ -23,8 +23,6 @@ constexpr const char* kImmutable = "public, max-age=31536000, immutable";
 constexpr const char* kRevalidate = "no-cache";
 
 constexpr const char* kBinary = "Content-Type: application/octet-stream\r\n";
-// Below this, copying costs less than one more system call.
-constexpr std::size_t kLeastSentAsFile = 24u << 10;
 
 HttpReply text(unsigned status, std::string line) {
     HttpReply reply;
@@ -157,9 +155,8 @@ struct PagePath {
     PageAddress address;
 };
 
-std::optional<HttpReply> page(const HttpRequest& request, const std::shared_ptr<const FrameReader>& held,
-                              const PagePath& path, const HttpServices& services, ReadMode mode) {
-    const FrameReader& frame = *held;
+std::optional<HttpReply> page(const HttpRequest& request, const FrameReader& frame, const PagePath& path,
+                              const HttpServices& services, ReadMode mode) {
     const PageAddress& at = path.address;
     std::uint64_t sum = 0;
     std::size_t bytes = 0;
@@ -183,16 +180,6 @@ std::optional<HttpReply> page(const HttpRequest& request, const std::shared_ptr<
     HttpReply reply;
     reply.page_bytes = bytes;
     reply.is_block = path.is_block;
-    if (!path.is_block && bytes >= kLeastSentAsFile && services.can_send_file) {
-        const auto range = frame.store().cachedPayload(record, bytes);
-        if (!range) return failed(range.error());
-        if (*range) {
-            reply.headers = cachingHeaders(etag, kImmutable) + kBinary;
-            reply.file = held;
-            reply.begin = (*range)->begin;
-            return reply;
-        }
-    }
     reply.page = services.batches->take(bytes);
     if (!reply.page) {
         auto busy = text(503, "the server is sending all that it may hold in memory; try again");
@@ -268,7 +255,7 @@ std::optional<HttpReply> datasetResource(const HttpRequest& request, std::span<c
         reply.route = "footer";
         return reply;
     }
-    auto reply = page(request, frame, **wanted, services, mode);
+    auto reply = page(request, *frame, **wanted, services, mode);
     if (reply) reply->route = "page";
     return reply;
 }

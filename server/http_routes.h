@@ -27,9 +27,6 @@ struct HttpReply {
     // Instead of `body`, where there is one.
     BatchMemory page;
     std::size_t page_bytes = 0;
-    // Instead of `page`: bytes [begin, begin + page_bytes) of this frame's file, which are in the page cache.
-    std::shared_ptr<const FrameReader> file;
-    std::uint64_t begin = 0;
     std::string_view route = "other";  // for the metrics; static
     bool is_block = false;             // of the page
 };
@@ -38,7 +35,6 @@ struct HttpServices {
     const Catalog* catalog = nullptr;
     const AccessTokens* tokens = nullptr;
     BatchPool* batches = nullptr;
-    bool can_send_file = false;            // HttpReply::file is of use
     std::function<std::string()> metrics;  // the text of /metrics
 };
 

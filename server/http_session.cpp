@@ -59,7 +59,7 @@ public:
           stream_(std::move(stream)),
           slot_(std::move(slot)),
           context_(context),
-          services_{context.catalog.get(), nullptr, &context.batches, stream_.bytes().canSendFile(), {}} {
+          services_{context.catalog.get(), nullptr, &context.batches, {}} {
         context_.metrics.connectionOpened(Via::kHttp);
     }
     ~HttpSession() override { context_.metrics.connectionClosed(Via::kHttp); }
@@ -212,7 +212,7 @@ private:
         const auto& message = parser_->get();
         const bool head_only = message.method() == http::verb::head;
         keep_alive_ = keep_alive_ && !leaving_ && message.keep_alive();
-        const std::size_t body_bytes = reply_.page || reply_.file ? reply_.page_bytes : reply_.body.size();
+        const std::size_t body_bytes = reply_.page ? reply_.page_bytes : reply_.body.size();
         const std::string id = requestIdOf(message, context_.next_id.fetch_add(1, std::memory_order_relaxed));
 
         head_.clear();
@@ -235,7 +235,6 @@ private:
         if (context_.log->should_log(spdlog::level::debug))
             context_.log->debug("request={} {} {} {} {} bytes", id, viewOf(message.method_string()),
                                 printable(viewOf(message.target())), reply_.status, sent_bytes_);
-        if (reply_.file && sent_bytes_ > 0) return writeFile();
         writeRest(asio::buffer(head_), reply_.page ? asio::const_buffer(reply_.page.data(), sent_bytes_)
                                                    : asio::const_buffer(reply_.body.data(), sent_bytes_));
     }
@@ -252,25 +251,6 @@ private:
         asio::async_write(
             stream_, std::array<asio::const_buffer, 2>{head, body},
             [self = shared_from_this()](ErrorCondition failed, std::size_t) { self->onWritten(failed); });
-    }
-
-    void writeFile() {
-        // More follows: one segment for the head's end and the file's begin.
-        ErrorCondition error;
-        auto& socket = stream_.bytes().socket();
-        if (!socket.non_blocking()) socket.non_blocking(true, error);
-        const std::size_t sent = socket.send(asio::buffer(head_), MSG_MORE, error);
-        if (error == asio::error::would_block) error = {};
-        if (error) return onWritten(error);
-        const auto send_file = [self = shared_from_this()](ErrorCondition failed, std::size_t) {
-            if (failed) return self->onWritten(failed);
-            const HttpReply& reply = self->reply_;
-            self->stream_.bytes().asyncSendFile(
-                reply.file->store().descriptor(), reply.begin, reply.begin + self->sent_bytes_,
-                OnceHandler([self](ErrorCondition ended, std::size_t) { self->onWritten(ended); }));
-        };
-        if (sent == head_.size()) return send_file({}, 0);
-        asio::async_write(stream_, asio::buffer(head_) + sent, send_file);
     }
 
     void onWritten(ErrorCondition error) {

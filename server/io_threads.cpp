@@ -1,7 +1,6 @@
 #include "server/io_threads.h"
 
 #include <fmt/chrono.h>
-#include <signal.h>
 
 namespace brickyard {
 
@@ -23,11 +22,6 @@ void IoThread::stop() {
 }
 
 void IoThread::run() {
-    // sendfile has no flag against the signal that a write to a closed connection brings.
-    sigset_t pipe;
-    sigemptyset(&pipe);
-    sigaddset(&pipe, SIGPIPE);
-    pthread_sigmask(SIG_BLOCK, &pipe, nullptr);
     this->tick();
     for (;;) {
         // What one connection throws must not end the others.

@@ -57,11 +57,6 @@ public:
     // Writes what the socket takes at once, without waiting; would_block where that is nothing, or where the
     // stream cannot tell.
     virtual std::size_t writeNow(const WriteBuffers& from, boost::system::error_code& error) = 0;
-    // Whether sendFile() is there: only in the clear.
-    virtual bool canSendFile() const = 0;
-    // Sends bytes [begin, end) of a file from the kernel's page cache. REQUIRES: canSendFile(); `descriptor`
-    // stays open.
-    virtual void asyncSendFile(int descriptor, std::uint64_t begin, std::uint64_t end, OnceHandler done) = 0;
     // Says goodbye in good order: the peer reads the end of the stream behind what was written.
     virtual void asyncShutdown(OnceHandler done) = 0;
     // Cuts it; what is pending ends with operation_aborted.

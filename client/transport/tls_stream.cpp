@@ -1,7 +1,6 @@
 #include "transport/tls_stream.h"
 
 #include <boost/asio/ip/address.hpp>
-#include <boost/asio/post.hpp>
 #include <boost/asio/ssl/host_name_verification.hpp>
 #include <boost/asio/ssl/stream.hpp>
 
@@ -42,11 +41,6 @@ public:
     std::size_t writeNow(const WriteBuffers&, ErrorCondition& error) override {
         error = asio::error::would_block;
         return 0;
-    }
-    bool canSendFile() const override { return false; }
-    void asyncSendFile(int, std::uint64_t, std::uint64_t, OnceHandler done) override {
-        asio::post(stream_.get_executor(),
-                   [done = std::move(done)]() mutable { done(asio::error::operation_not_supported, 0); });
     }
     void asyncShutdown(OnceHandler done) override {
         stream_.async_shutdown([done = std::move(done)](ErrorCondition error) mutable { done(error, 0); });
