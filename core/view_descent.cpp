@@ -5,11 +5,13 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <deque>
 #include <glm/geometric.hpp>
 #include <limits>
 #include <optional>
 #include <queue>
-#include <unordered_map>
+#include <unordered_set>
+#include <utility>
 
 #include "core/affine.h"
 #include "core/node_key.h"
@@ -19,6 +21,10 @@ namespace {
 
 // A tree that refers to itself must not keep us forever; no view of a sound one looks at this many nodes.
 constexpr std::uint64_t kMaxVisits = 1u << 23;
+// Nodes that wait to be looked at. Some thousand bricks are sent before so many are found.
+constexpr std::size_t kMaxCandidates = 1u << 16;
+// Blocks that are held: those above the nodes that are being looked at.
+constexpr std::size_t kHeldBlocks = 8;
 // Slack of the frustum test, relative to the corner's distance: rounding may not lose a visible node.
 constexpr double kPlaneSlack = 1e-9;
 
@@ -123,22 +129,67 @@ struct Candidate {
     }
 };
 
-class Descent {
+}  // namespace
+
+class ViewDescent::Search {
 public:
-    Descent(const PinholeCamera& camera, const Affine& map, const ChannelFooter& channel,
-            std::uint32_t channel_index, int brick_edge, const BlockLoader& load, const DescentLimits& limits)
-        : view_(camera, map),
+    Search(const PinholeCamera& camera, const Affine& map, const ChannelFooter& channel,
+           std::uint32_t channel_index, int brick_edge, float pixels_per_voxel)
+        : camera_(camera),
+          map_(map),
+          view_(camera_, map_),
           channel_(channel),
           channel_index_(channel_index),
           brick_edge_(brick_edge),
-          load_(load),
-          limits_(limits) {}
+          pixels_per_voxel_(double(pixels_per_voxel)) {}
+    Search(const Search&) = delete;  // view_ refers to its neighbours
+    Search& operator=(const Search&) = delete;
 
-    Result<std::vector<DescentStep>> run() {
-        if (channel_.blocks_size() == 0) return std::move(steps_);
-        emit(true, 0, 0, channel_.blocks(0).bytes());
+    Result<std::optional<DescentStep>> next(const BlockLoader& load) {
+        load_ = &load;
+        while (!over_) {
+            if (auto done = goOn(); !done) {
+                over_ = true;
+                return tl::unexpected(done.error());
+            }
+            if (step_) return std::exchange(step_, std::nullopt);
+        }
+        return std::nullopt;
+    }
+
+    std::size_t memoryBytes() const {
+        return queue_.size() * sizeof(Candidate) + emitted_.size() * 4 * sizeof(std::uint32_t);
+    }
+
+private:
+    // Does one thing; perhaps it gives a step.
+    Result<void> goOn() {
+        if (!begun_) return begin();
+        if (opening_) {
+            const Candidate parent = *opening_;
+            opening_.reset();
+            return offerChildren(parent);
+        }
+        if (!rooted_) return offerRoots();
+        if (queue_.empty() || visits_ >= kMaxVisits) {
+            over_ = true;
+            return {};
+        }
+        const Candidate next = queue_.top();
+        queue_.pop();
+        return next.is_block ? openBlock(next) : takeNode(next);
+    }
+
+    Result<void> begin() {
+        begun_ = true;
         active_ = grownActiveBox(channel_);
-        if (!active_) return std::move(steps_);
+        over_ = !active_ || channel_.blocks_size() == 0;
+        if (channel_.blocks_size() > 0) emit(true, 0, 0, channel_.blocks(0).bytes());
+        return {};
+    }
+
+    Result<void> offerRoots() {
+        rooted_ = true;
         const auto top = load(0);
         if (!top) return tl::unexpected(top.error());
         for (int r = 0; r < channel_.roots_size(); ++r) {
@@ -153,27 +204,21 @@ public:
             offer({std::int32_t(root.level()), root.x(), root.y(), root.z()}, **top, 0, std::uint32_t(r),
                   range);
         }
-        while (!queue_.empty() && !full() && visits_ < kMaxVisits) {
-            const Candidate next = queue_.top();
-            queue_.pop();
-            if (auto taken = next.is_block ? openBlock(next) : takeNode(next); !taken)
-                return tl::unexpected(taken.error());
-        }
-        return std::move(steps_);
+        return {};
     }
 
-private:
-    bool full() const { return bytes_ >= limits_.max_bytes; }
-
     void emit(bool is_block, std::uint32_t block, std::uint32_t node, std::uint32_t bytes) {
-        steps_.push_back({is_block, {channel_index_, block, node}, bytes});
-        bytes_ += bytes;
+        if (is_block) emitted_.insert(block);
+        step_ = DescentStep{is_block, {channel_index_, block, node}, bytes};
     }
 
     Result<std::shared_ptr<const TreeBlock>> load(std::uint32_t block) {
-        if (const auto found = loaded_.find(block); found != loaded_.end()) return found->second;
-        auto nodes = load_(block);
-        if (nodes) loaded_.emplace(block, *nodes);
+        for (const auto& [held, nodes] : held_)
+            if (held == block) return nodes;
+        auto nodes = (*load_)(block);
+        if (!nodes) return nodes;
+        if (held_.size() == kHeldBlocks) held_.pop_front();
+        held_.emplace_back(block, *nodes);
         return nodes;
     }
 
@@ -193,6 +238,7 @@ private:
     void offer(const NodeKey& key, const TreeBlock& nodes, std::uint32_t block, std::uint32_t node,
                double deviation) {
         ++visits_;
+        if (queue_.size() >= kMaxCandidates) return;
         const Projection seen = project(key);
         if (!seen.visible) return;
         const double bytes = std::max<double>(nodes.record(node).payload_bytes, 1);
@@ -214,10 +260,13 @@ private:
         // A node that is exact, or as fine as the pixels are, needs no children.
         if ((*nodes)->isLeaf(taken.node) || taken.key.level == 0 || record.bound == 0) return {};
         const Projection seen = project(taken.key);
-        if (view_.voxelPixels(taken.key.level, seen.distance) <= double(limits_.pixels_per_voxel)) return {};
+        if (view_.voxelPixels(taken.key.level, seen.distance) <= pixels_per_voxel_) return {};
 
         const ChildrenRef children = (*nodes)->children(taken.node);
-        if (loaded_.contains(children.block)) return offerChildren(taken.key, **nodes, taken.node);
+        if (emitted_.contains(children.block)) {
+            opening_ = taken;
+            return {};
+        }
         if (children.block >= std::uint32_t(channel_.blocks_size()))
             return fail(
                 ErrorCode::kCorrupt,
@@ -233,58 +282,86 @@ private:
         const auto nodes = load(parent.block);
         if (!nodes) return tl::unexpected(nodes.error());
         const std::uint32_t block = (*nodes)->children(parent.node).block;
-        if (!loaded_.contains(block)) {
-            emit(true, block, 0, channel_.blocks(int(block)).bytes());
-            // The step that fills the credit needs no nodes any more.
-            if (full()) return {};
-            if (auto below = load(block); !below) return tl::unexpected(below.error());
-        }
-        return offerChildren(parent.key, **nodes, parent.node);
+        if (!emitted_.contains(block)) emit(true, block, 0, channel_.blocks(int(block)).bytes());
+        // Not looked into before someone asks for what follows.
+        opening_ = parent;
+        return {};
     }
 
-    // REQUIRES: the block that holds the children is loaded.
-    Result<void> offerChildren(const NodeKey& key, const TreeBlock& nodes, std::uint32_t node) {
-        const ChildrenRef children = nodes.children(node);
-        const TreeBlock& below = *loaded_.at(children.block);
+    // REQUIRES: the step of the block that holds the children was given.
+    Result<void> offerChildren(const Candidate& parent) {
+        const auto held = load(parent.block);
+        if (!held) return tl::unexpected(held.error());
+        const TreeBlock& nodes = **held;
+        const ChildrenRef children = nodes.children(parent.node);
+        const auto held_below = load(children.block);
+        if (!held_below) return tl::unexpected(held_below.error());
+        const TreeBlock& below = **held_below;
         std::uint32_t child = children.first;
         for (int octant = 0; octant < 8; ++octant) {
-            if (!(nodes.validMask(node) >> octant & 1)) continue;
+            if (!(nodes.validMask(parent.node) >> octant & 1)) continue;
             if (child >= below.nodeCount())
                 return fail(
                     ErrorCode::kCorrupt,
                     fmt::format(
                         "channel {}: node {} has more children than block {} holds; convert this frame again",
-                        channel_.name(), toString(key), children.block));
-            offer(key.child(octant), below, children.block, child++, nodes.record(node).rms);
+                        channel_.name(), toString(parent.key), children.block));
+            offer(parent.key.child(octant), below, children.block, child++, nodes.record(parent.node).rms);
         }
         return {};
     }
 
+    const PinholeCamera camera_;
+    const Affine map_;
     const View view_;
     const ChannelFooter& channel_;
     const std::uint32_t channel_index_;
     const int brick_edge_;
-    const BlockLoader& load_;
-    const DescentLimits& limits_;
+    const double pixels_per_voxel_;
+    const BlockLoader* load_ = nullptr;  // of the call that is under way
     std::optional<Box> active_;
-    std::vector<DescentStep> steps_;
-    std::uint64_t bytes_ = 0;  // Invariant: the sum over steps_
+    std::optional<DescentStep> step_;
+    std::optional<Candidate> opening_;  // whose children are to be offered next
+    bool begun_ = false, rooted_ = false, over_ = false;
     std::uint64_t visits_ = 0;
     std::uint64_t order_ = 0;
     std::priority_queue<Candidate> queue_;
-    std::unordered_map<std::uint32_t, std::shared_ptr<const TreeBlock>> loaded_;
+    std::unordered_set<std::uint32_t> emitted_;  // blocks
+    std::deque<std::pair<std::uint32_t, std::shared_ptr<const TreeBlock>>> held_;
 };
 
-}  // namespace
+ViewDescent::ViewDescent(std::unique_ptr<Search> search) : search_(std::move(search)) {}
+ViewDescent::ViewDescent(ViewDescent&&) noexcept = default;
+ViewDescent& ViewDescent::operator=(ViewDescent&&) noexcept = default;
+ViewDescent::~ViewDescent() = default;
 
-Result<std::vector<DescentStep>> describeView(const PinholeCamera& camera, const ChannelFooter& channel,
-                                              std::uint32_t channel_index, int brick_edge,
-                                              const BlockLoader& load, const DescentLimits& limits) {
+Result<ViewDescent> ViewDescent::create(const PinholeCamera& camera, const ChannelFooter& channel,
+                                        std::uint32_t channel_index, int brick_edge, float pixels_per_voxel) {
     const auto map =
         Affine::fromColumns({channel.index_to_world().data(), std::size_t(channel.index_to_world_size())});
     if (!map)
         return fail(ErrorCode::kCorrupt, fmt::format("channel {}: {}", channel.name(), map.error().message));
-    return Descent(camera, *map, channel, channel_index, brick_edge, load, limits).run();
+    return ViewDescent(
+        std::make_unique<Search>(camera, *map, channel, channel_index, brick_edge, pixels_per_voxel));
+}
+
+Result<std::optional<DescentStep>> ViewDescent::next(const BlockLoader& load) { return search_->next(load); }
+std::size_t ViewDescent::memoryBytes() const { return search_->memoryBytes(); }
+
+Result<std::vector<DescentStep>> describeView(const PinholeCamera& camera, const ChannelFooter& channel,
+                                              std::uint32_t channel_index, int brick_edge,
+                                              const BlockLoader& load, const DescentLimits& limits) {
+    auto descent = ViewDescent::create(camera, channel, channel_index, brick_edge, limits.pixels_per_voxel);
+    if (!descent) return tl::unexpected(descent.error());
+    std::vector<DescentStep> steps;
+    for (std::uint64_t bytes = 0; bytes < limits.max_bytes || steps.empty();) {
+        auto step = descent->next(load);
+        if (!step) return tl::unexpected(step.error());
+        if (!*step) break;
+        bytes += (*step)->bytes;
+        steps.push_back(**step);
+    }
+    return steps;
 }
 
 }  // namespace brickyard

@@ -3,32 +3,10 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <unordered_set>
 
 #include "core/brick_codec.h"
 
 namespace brickyard {
-namespace {
-
-// Several channels of one view: each keeps its own order, and the one that has had the fewest bytes goes
-// next.
-std::vector<WishedPage> interleave(const std::vector<std::vector<DescentStep>>& channels) {
-    std::vector<WishedPage> pages;
-    std::vector<std::size_t> next(channels.size(), 0);
-    std::vector<std::uint64_t> bytes(channels.size(), 0);
-    for (;;) {
-        std::size_t best = channels.size();
-        for (std::size_t c = 0; c < channels.size(); ++c)
-            if (next[c] < channels[c].size() && (best == channels.size() || bytes[c] < bytes[best])) best = c;
-        if (best == channels.size()) return pages;
-        const DescentStep& step = channels[best][next[best]++];
-        bytes[best] += step.bytes;
-        pages.push_back({step.is_block, step.page});
-    }
-}
-
-}  // namespace
-
 Result<WishWalk> WishWalk::create(std::shared_ptr<const FrameReader> frame, PageWish wish) {
     wish.credit_bytes = std::min(wish.credit_bytes, kMaxWishBytes);
     // A block has no node number: the same block must always have the same address.
@@ -73,18 +51,75 @@ WishWalk::Plan WishWalk::plan(ReadMode mode) {
                 return Plan::kWaits;
             ++next_page_;
             planned_ = std::move(found);
-        } else if (failure_) {
-            planned_ = std::move(failure_);
-            failure_.reset();
         } else if (next_view_ == wish_.views.size()) {
             return Plan::kDone;
         } else if (mode == ReadMode::kCachedOnly) {
             // A descent takes its time even where all of its blocks are in memory.
             return Plan::kWaits;
         } else {
-            describeNextView();
+            descend();
         }
     }
+}
+
+void WishWalk::beginView() {
+    const CameraView& view = wish_.views[next_view_];
+    const float pixels_per_voxel = view.pixels_per_voxel > 0 ? view.pixels_per_voxel : 1;
+    for (const std::uint32_t channel : view.channels) {
+        auto descent = ViewDescent::create(cameras_[next_view_], frame_->footer().channels(int(channel)),
+                                           channel, int(frame_->footer().brick_edge()), pixels_per_voxel);
+        // An open frame's transforms are sound.
+        if (descent) descents_.push_back({channel, std::move(*descent), 0, std::nullopt, false});
+    }
+    // What the list has sent already is not sent again.
+    for (const WishedPage& page : wish_.pages)
+        (page.is_block ? listed_blocks_ : listed_bricks_).insert(page.address);
+}
+
+// The next page of the view: each channel keeps its own order, and the one that has had the fewest bytes goes
+// next.
+void WishWalk::descend() {
+    if (descents_.empty()) beginView();
+    ChannelDescent* best = nullptr;
+    for (ChannelDescent& channel : descents_) {
+        if (!channel.next && !channel.over) {
+            std::uint32_t failed_block = 0;
+            const auto load = [&](std::uint32_t block) {
+                auto loaded = frame_->block(channel.channel, block);
+                if (!loaded) failed_block = block;
+                return loaded;
+            };
+            auto step = channel.descent.next(load);
+            channel.over = !step || !*step;
+            if (!step) {
+                planned_ = Planned{{true, {channel.channel, failed_block, 0}}, tl::unexpected(step.error())};
+                return;
+            }
+            channel.next = *step;
+        }
+        if (channel.next && (best == nullptr || channel.bytes < best->bytes)) best = &channel;
+    }
+    if (best == nullptr) {
+        dropView();
+        return;
+    }
+    const DescentStep step = *best->next;
+    best->next.reset();
+    best->bytes += step.bytes;
+    if (!(step.is_block ? listed_blocks_ : listed_bricks_).contains(step.page))
+        planned_ = look({step.is_block, step.page}, ReadMode::kMayBlock);
+}
+
+std::size_t WishWalk::viewBytes() const {
+    std::size_t bytes = 0;
+    for (const ChannelDescent& channel : descents_) bytes += channel.descent.memoryBytes();
+    return bytes;
+}
+
+void WishWalk::dropView() {
+    if (next_view_ == wish_.views.size()) return;
+    ++next_view_;
+    descents_.clear();
 }
 
 std::optional<WishWalk::Planned> WishWalk::look(const WishedPage& page, ReadMode mode) {

@@ -6,6 +6,7 @@
 #include <memory>
 #include <optional>
 #include <span>
+#include <unordered_set>
 #include <vector>
 
 #include "core/frame_reader.h"
@@ -50,6 +51,9 @@ public:
     // Reads the planned page, and goes on behind it unless the error is kWouldBlock. REQUIRES:
     // planned().bytes is a size, and out has it.
     Result<void> readPlanned(std::span<std::byte> out, ReadMode mode);
+    // Memory of the view that is being looked at, beside the list; and its end, where that is too much.
+    std::size_t viewBytes() const;
+    void dropView();
     // Goes on behind a planned page that cannot be had.
     void skipPlanned() { planned_.reset(); }
 
@@ -60,7 +64,15 @@ public:
 private:
     WishWalk(std::shared_ptr<const FrameReader> frame, PageWish wish)
         : frame_(std::move(frame)), wish_(std::move(wish)) {}
-    void describeNextView();
+    struct ChannelDescent {
+        std::uint32_t channel = 0;
+        ViewDescent descent;
+        std::uint64_t bytes = 0;  // of its steps so far
+        std::optional<DescentStep> next;
+        bool over = false;
+    };
+    void beginView();
+    void descend();
     // Nothing where the credit is used up.
     std::optional<Planned> look(const WishedPage& page, ReadMode mode);
 
@@ -68,8 +80,9 @@ private:
     PageWish wish_;
     std::size_t next_page_ = 0;
     std::size_t next_view_ = 0;
-    std::vector<PinholeCamera> cameras_;  // one per view
-    std::optional<Planned> failure_;      // a view's block that could not be read
+    std::vector<PinholeCamera> cameras_;    // one per view
+    std::vector<ChannelDescent> descents_;  // of the next view
+    std::unordered_set<PageAddress, PageAddressHash> listed_blocks_, listed_bricks_;
     std::optional<Planned> planned_;
     NodeRecord record_;             // of the planned page where it is a brick
     std::uint64_t sent_bytes_ = 0;  // Invariant: at most wish_.credit_bytes

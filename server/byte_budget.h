@@ -26,6 +26,15 @@ public:
         }
         ~Share() { reset(); }
         std::uint64_t bytes() const { return bytes_; }
+        // False, and nothing changes, where there is no room.
+        bool growTo(std::uint64_t bytes) {
+            if (bytes <= bytes_ || budget_ == nullptr) return true;
+            Share more = budget_->reserveUpTo(bytes - bytes_);
+            if (more.bytes_ < bytes - bytes_) return false;
+            more.budget_ = nullptr;
+            bytes_ = bytes;
+            return true;
+        }
         void reset() {
             if (budget_ != nullptr) budget_->used_.fetch_sub(bytes_, std::memory_order_relaxed);
             budget_ = nullptr;

@@ -80,6 +80,7 @@ Result<void> WishQueue::replace(const Wish& wish, std::uint32_t frame_number,
                              std::chrono::steady_clock::now(),
                              std::move(*walk),
                              std::move(memory),
+                             0,
                              {}});
     return {};
 }
@@ -88,7 +89,18 @@ WishQueue::Step WishQueue::addTo(OutBatch& batch, ReadMode mode) {
     if (!current_) return Step::kNothing;
     if (current_->failure) return addFailure(batch);
     WishWalk& walk = current_->walk;
-    switch (walk.plan(mode)) {
+    const auto plan = walk.plan(mode);
+    // A view that looks at very many nodes ends where the memory for all clients does.
+    if (budget_ != nullptr && walk.viewBytes() > current_->view_bytes) {
+        const std::uint64_t wanted = current_->memory.bytes() - current_->view_bytes + 2 * walk.viewBytes();
+        if (current_->memory.growTo(wanted)) {
+            current_->view_bytes = 2 * walk.viewBytes();
+        } else {
+            walk.dropView();
+            current_->cut_short = true;
+        }
+    }
+    switch (plan) {
         case WishWalk::Plan::kWaits: return Step::kWaits;
         case WishWalk::Plan::kDone: return addDone(batch);
         case WishWalk::Plan::kPage: break;

@@ -49,6 +49,7 @@ private:
         std::chrono::steady_clock::time_point since;
         WishWalk walk;
         ByteBudget::Share memory;
+        std::uint64_t view_bytes = 0;    // of `memory`, for the view
         std::optional<Planned> failure;  // a page that cannot be had, and was not told yet
     };
     Step addDone(OutBatch& batch);
