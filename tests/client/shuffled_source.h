@@ -19,9 +19,12 @@ public:
         : inner_(std::move(inner)), random_(seed) {}
 
     const Manifest& manifest() const override { return inner_->manifest(); }
-    Result<FrameFooter> openFrame(std::uint32_t frame) override {
+    std::shared_ptr<const Manifest> latestManifest() const override { return inner_->latestManifest(); }
+    Result<bool> waitForChange(SourceDeadline deadline) override { return inner_->waitForChange(deadline); }
+    Result<FrameFooter> openFrame(std::uint32_t frame,
+                                  SourceDeadline deadline = SourceDeadline::max()) override {
         waiting_.clear();
-        return inner_->openFrame(frame);
+        return inner_->openFrame(frame, deadline);
     }
     Result<void> wish(PageWish newest) override {
         waiting_.clear();
