@@ -56,6 +56,8 @@ class BrickSource {
 public:
     virtual ~BrickSource() = default;
 
+    // The folder or the address, for messages.
+    virtual std::string name() const = 0;
     // As it was when the source was opened; the reference stays good, and is never changed.
     virtual const Manifest& manifest() const = 0;
     // As it is now: frames come while a simulation runs. Any thread.

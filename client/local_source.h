@@ -19,6 +19,7 @@ public:
     // Errors: those of Dataset::open.
     static Result<std::unique_ptr<LocalSource>> open(const std::filesystem::path& folder);
 
+    std::string name() const override { return dataset_.folder().string(); }
     const Manifest& manifest() const override { return *first_manifest_; }
     std::shared_ptr<const Manifest> latestManifest() const override;
     // Looks at the folder again and again.

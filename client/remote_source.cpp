@@ -55,6 +55,8 @@ Result<std::unique_ptr<RemoteSource>> RemoteSource::open(std::shared_ptr<ServerL
     return source;
 }
 
+std::string RemoteSource::name() const { return link_->urlOf(*stream_); }
+
 const Manifest& RemoteSource::manifest() const { return *stream_->first_manifest; }
 
 std::shared_ptr<const Manifest> RemoteSource::latestManifest() const {

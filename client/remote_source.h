@@ -28,6 +28,7 @@ public:
                                                       std::shared_ptr<NetworkThread> thread = nullptr);
     ~RemoteSource() override;
 
+    std::string name() const override;
     const Manifest& manifest() const override;
     std::shared_ptr<const Manifest> latestManifest() const override;
     Result<bool> waitForChange(SourceDeadline deadline) override;

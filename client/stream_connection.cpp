@@ -71,6 +71,12 @@ struct StreamConnection::State : std::enable_shared_from_this<State> {
             lose(ErrorCode::kTimeout,
                  fmt::format("no answer within {:.3g} s; is `brickyard serve` running there?", seconds));
         }));
+        // A number needs no resolver, which would start a thread of its own for the first name.
+        ErrorCondition is_name;
+        const asio::ip::address number = asio::ip::make_address(address.host, is_name);
+        if (!is_name)
+            return connect(tcp::resolver::results_type::create(tcp::endpoint(number, address.port),
+                                                               address.host, std::to_string(address.port)));
         resolver.async_resolve(
             address.host, std::to_string(address.port),
             handler([this](ErrorCondition error, const tcp::resolver::results_type& found) {

@@ -58,10 +58,10 @@ std::optional<Wish> WishTurns::next() {
     unbroken_ = wish.has_camera() || hungry_ == &stream;
     sliced_ = others && !unbroken_;
     if (hungry_ == &stream) hungry_ = nullptr;
+    cut_ = sliced_ && wish.pages_size() > kTurnPages;
     if (sliced_) {
         credit = std::min(credit, kTurnBytes);
-        if (wish.pages_size() > kTurnPages)
-            wish.mutable_pages()->DeleteSubrange(kTurnPages, wish.pages_size() - kTurnPages);
+        if (cut_) wish.mutable_pages()->DeleteSubrange(kTurnPages, wish.pages_size() - kTurnPages);
     }
     stream.epoch = nextEpoch();
     if (stream.first_epoch == 0) stream.first_epoch = stream.epoch;
@@ -86,7 +86,7 @@ bool WishTurns::finish(std::uint64_t epoch, bool credit_exhausted) {
     // Of a wish that was replaced, or waits in the line for its next turn.
     if (!owner || owner->epoch != epoch || holder_ != owner) return false;
     holder_ = nullptr;
-    if (!sliced_) return true;
+    if (!cut_ && !(sliced_ && credit_exhausted)) return true;
     dropPages(owner->wanted, owner->had);
     if (owner->wanted.pages_size() + owner->wanted.blocks_size() == 0) return true;
     if (credit_exhausted && left_before_ <= kTurnBytes) return true;

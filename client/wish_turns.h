@@ -47,6 +47,7 @@ private:
     std::deque<DatasetStream*> line_;
     DatasetStream* holder_ = nullptr;
     bool sliced_ = false;              // the holder's wish was sent in part
+    bool cut_ = false;                 // of its list, only the front
     bool unbroken_ = false;            // it is left alone until it is done
     std::uint64_t left_before_ = 0;    // its credit when it was sent
     DatasetStream* hungry_ = nullptr;  // got nothing out of a slice: its next page is larger than one
