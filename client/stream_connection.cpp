@@ -110,7 +110,8 @@ struct StreamConnection::State : std::enable_shared_from_this<State> {
         stream.auto_fragment(false);
         stream.read_message_max(kMaxMessageBytes);
         stream.async_handshake(
-            response, address.hostAndPort(), "/" + percentEncode(address.dataset),
+            response, address.hostAndPort(),
+            "/" + (address.dataset.empty() ? "v1/stream" : percentEncode(address.dataset)),
             handler([this](ErrorCondition error) {
                 if (lost) return;
                 if (error == websocket::error::upgrade_declined) {

@@ -70,6 +70,14 @@ protected:
         return wish;
     }
 
+    // What `later` has, over what `now` has.
+    static void replace(const TinyDataset& now, const TinyDataset& later) {
+        for (const char* what : {"frames", "manifest.json"})
+            std::filesystem::copy(
+                later.folder() / what, now.folder() / what,
+                std::filesystem::copy_options::recursive | std::filesystem::copy_options::overwrite_existing);
+    }
+
     // Several megabytes each, so that wishes last for turns.
     TinyDataset plume_{"plume", {.frames = {7, 30}, .levels = 4, .payload_bytes = 8192}};
     TinyDataset jets_{"jets", {.frames = {1}, .levels = 4, .payload_bytes = 8192}};
@@ -198,6 +206,23 @@ TEST_F(RemoteServerTest, AHintOfALaterDatasetIsFollowedToo) {
     ASSERT_TRUE(second->wish(sameAs(start, *footer)));
     EXPECT_GT(takeAll(*second).size(), 10u);
     EXPECT_EQ(second->counters().round_trips, 2u) << "it waits for the answer to Open";
+}
+
+TEST_F(RemoteServerTest, TellsWhenFramesCome) {
+    RemoteServer server(address_, "");
+    auto jets = std::move(*server.open("jets"));
+    auto plume = std::move(*server.open("plume"));
+    const Manifest& before = jets->manifest();
+    const TinyDataset later("jets", {.frames = {1, 2}, .levels = 4, .payload_bytes = 8192});
+    replace(jets_, later);
+    const auto told = jets->waitForChange(Clock::now() + std::chrono::seconds(20));
+    ASSERT_TRUE(told) << told.error().message;
+    EXPECT_TRUE(*told);
+    EXPECT_EQ(jets->latestManifest()->frames_size(), 2);
+    EXPECT_EQ(before.frames_size(), 1) << "what was handed out stays";
+    EXPECT_TRUE(jets->openFrame(2));
+    EXPECT_FALSE(*jets->waitForChange(Clock::now() + std::chrono::milliseconds(20)));
+    EXPECT_FALSE(*plume->waitForChange(Clock::now() + std::chrono::milliseconds(20)));
 }
 
 TEST_F(RemoteServerTest, MoreDatasetsThanAServerTakesIsAnErrorOfThatOneOnly) {
