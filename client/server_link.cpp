@@ -196,7 +196,7 @@ void ServerLink::onLost(Error error) {
     questions_.clear();
     outbox_.clear();
     dataset_ids_.clear();
-    early_ = false;
+    early_ = served_ = false;
     for (DatasetStream* stream : streams_) {
         stream->dataset_id = 0;
         stream->frame_open = false;
@@ -420,12 +420,16 @@ void ServerLink::serve(DatasetStream& stream) {
     }
 }
 
-// A connection that was lost is found again when all that was open is: one that is lost again before that is
-// the same loss.
+// A connection that was lost is found again when what was owed comes: one that is lost again before that, by
+// the very question that the server does not survive, is the same loss.
 void ServerLink::settled() {
     if (!away_since_) return;
-    for (const DatasetStream* stream : streams_)
-        if (!stream->lost && (stream->dataset_id == 0 || (stream->frame && !stream->frame_open))) return;
+    for (const DatasetStream* stream : streams_) {
+        if (stream->lost) continue;
+        const bool opening = stream->opening && !stream->opening->answer;
+        if (stream->dataset_id == 0 || opening || (stream->frame && !stream->frame_open)) return;
+        if (!stream->done && !served_) return;
+    }
     away_since_.reset();
     last_heard_ = Clock::now();
 }
@@ -458,6 +462,8 @@ void ServerLink::onFrameOpened(const FrameOpened& opened) {
 
 void ServerLink::onPage(std::uint64_t epoch, std::uint32_t frame, const WishedPage& page,
                         Result<std::span<const std::byte>> payload) {
+    served_ = true;
+    settled();
     DatasetStream* owner = turns_.ownerOf(epoch);
     if (!owner) return;
     DatasetStream& stream = *owner;
@@ -488,6 +494,8 @@ void ServerLink::finishWish(std::uint64_t epoch, bool credit_exhausted) {
         owner->done = true;
         owner->changed.notify_all();
     }
+    served_ = true;
+    settled();
     connection_->wakeSender();
 }
 
@@ -521,6 +529,12 @@ void ServerLink::onFailed(const Failed& failed) {
         if (question.kind != Question::Kind::kFrame) {
             loseStream(stream, std::move(error));
         } else if (stream.opening && stream.opening->number == question.number) {
+            // A server that does not know of "the first" looked for frame 0; the manifest tells by now.
+            const bool first = !stream.opening->frame && server_minor_ == 0;
+            if (first && stream.manifest && stream.manifest->frames_size() > 0) {
+                stream.opening->frame = stream.manifest->frames(0).frame();
+                return ask(Question::Kind::kFrame, stream);
+            }
             stream.opening->answer = tl::unexpected(std::move(error));
             stream.changed.notify_all();
         }

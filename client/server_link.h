@@ -136,6 +136,7 @@ private:
     std::deque<Question> questions_;  // answers come in this order
     std::deque<std::vector<std::byte>> outbox_;
     WishTurns turns_;
+    bool served_ = false;  // a page came, or a wish was done
     std::chrono::steady_clock::time_point last_heard_;
 
     // Of making it anew.

@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <filesystem>
+#include <mutex>
 #include <random>
 #include <thread>
 
@@ -113,14 +114,19 @@ TEST_F(NetworkThreadTest, NothingRunsOnceAConnectionIsDestroyed) {
 
 TEST_F(NetworkThreadTest, AHandlerMayDestroyItsConnectionAndTheThread) {
     std::atomic<bool> destroyed{false};
-    auto thread = std::make_shared<NetworkThread>();
-    auto connection = std::make_shared<std::unique_ptr<StreamConnection>>();
-    *connection = std::make_unique<StreamConnection>(address_, StreamTimeouts(), pinging([&, connection] {
-                                                         connection->reset();
-                                                         destroyed = true;
-                                                         return true;
-                                                     }),
-                                                     std::move(thread));
+    std::mutex mutex;  // guards the pointer until it is set
+    std::unique_ptr<StreamConnection> connection;
+    {
+        const std::lock_guard lock(mutex);
+        auto destroy = [&] {
+            const std::lock_guard set(mutex);
+            connection.reset();
+            destroyed = true;
+            return true;
+        };
+        connection = std::make_unique<StreamConnection>(address_, StreamTimeouts(), pinging(destroy),
+                                                        std::make_shared<NetworkThread>());
+    }
     for (int i = 0; i < 1000 && !destroyed; ++i) std::this_thread::sleep_for(std::chrono::milliseconds(10));
     EXPECT_TRUE(destroyed);
 }

@@ -123,6 +123,7 @@ TEST_F(ReconnectTest, APictureIsTheSameWheneverTheServerIsStartedAgain) {
     auto undisturbed = connect();
     const RenderOutcome expected = draw(*undisturbed);
     ASSERT_TRUE(expected.final);
+    std::uint64_t reconnects = 0;
     for (const int takes : {0, 1, 2, 5, 9, 20}) {
         std::thread restart;
         InterruptedSource source(connect(), takes, [&] {
@@ -135,10 +136,13 @@ TEST_F(ReconnectTest, APictureIsTheSameWheneverTheServerIsStartedAgain) {
         const RenderOutcome outcome = draw(source);
         if (restart.joinable()) restart.join();
         EXPECT_TRUE(outcome.final) << takes;
-        EXPECT_EQ(outcome.streamed.reconnects, 1u) << takes;
+        // None where what was left had arrived already.
+        EXPECT_LE(outcome.streamed.reconnects, 1u) << takes;
+        reconnects += outcome.streamed.reconnects;
         EXPECT_EQ(outcome.not_final.failed, 0u);
         expectSamePixels(outcome.picture, expected.picture);
     }
+    EXPECT_GE(reconnects, 3u);
 }
 
 TEST_F(ReconnectTest, WhatHasArrivedIsNotAskedForAgain) {
