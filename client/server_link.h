@@ -6,7 +6,8 @@
 //         +--------------------+----------------+--refused, patience over--> lost
 //
 // The network thread receives; the sources' threads call. All of it, and every DatasetStream that has joined,
-// is guarded by `mutex`. docs/protocol.md; docs/client.md, "Threads".
+// is guarded by `mutex`. docs/protocol.md; docs/client.md, "Threads". server_link.cpp: the connection and
+// what is sent; server_link_answers.cpp: what comes.
 #pragma once
 
 #include <chrono>
