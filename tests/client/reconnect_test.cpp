@@ -145,6 +145,22 @@ TEST_F(ReconnectTest, APictureIsTheSameWheneverTheServerIsStartedAgain) {
     EXPECT_GE(reconnects, 3u);
 }
 
+TEST_F(ReconnectTest, AColdPictureBeginsWithTheGreeting) {
+    RenderRequest framed = request();
+    framed.camera.reset();
+    framed.density_scale = 0.05;
+    for (const RenderRequest& request : {ReconnectTest::request(), framed}) {
+        const RenderOutcome expected = draw(*connect(), request);
+        auto hinted = RemoteSource::open(address(), "", timeouts_, startHint(request, std::nullopt));
+        ASSERT_TRUE(hinted);
+        const RenderOutcome outcome = draw(**hinted, request);
+        expectSamePixels(outcome.picture, expected.picture);
+        EXPECT_EQ(outcome.streamed.bytes_streamed, expected.streamed.bytes_streamed);
+        EXPECT_EQ(outcome.streamed.round_trips + 2, expected.streamed.round_trips)
+            << "frame and overview cost none of their own";
+    }
+}
+
 TEST_F(ReconnectTest, WhatHasArrivedIsNotAskedForAgain) {
     auto source = connect();
     const auto footer = source->openFrame(0);
