@@ -119,8 +119,11 @@ TEST_F(NetworkThreadTest, AHandlerMayDestroyItsConnectionAndTheThread) {
     {
         const std::lock_guard lock(mutex);
         auto destroy = [&] {
-            const std::lock_guard set(mutex);
-            connection.reset();
+            {
+                const std::lock_guard set(mutex);
+                connection.reset();
+            }
+            // Last: the test ends with it, and the thread may end after the test.
             destroyed = true;
             return true;
         };
