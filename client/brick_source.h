@@ -7,9 +7,11 @@
 #include <chrono>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
+#include "client/stream_timeouts.h"
 #include "core/page_wish.h"
 #include "core/result.h"
 #include "proto/dataset.pb.h"
@@ -28,27 +30,61 @@ struct SourceCounters {
     std::uint64_t pages_streamed = 0;   // bricks
     std::uint64_t blocks_streamed = 0;  // tree blocks
     std::uint64_t round_trips = 0;      // times the client waited for an answer (open, frame, wishes)
+    std::uint64_t reconnects = 0;       // times a lost connection was made anew
 };
+
+// What a camera sees, wished before the footer is known: a CameraView with names for numbers.
+struct StartView {
+    std::optional<Camera> camera;  // absent: the server frames the first of the channels (frameChannel)
+    std::uint32_t width = 0, height = 0;
+    std::vector<std::string> channels;  // "" is the default density; those the frame has not are passed over
+    float pixels_per_voxel = 1;
+    std::uint64_t credit_bytes = 0;
+};
+
+// What will be asked for first. A server is told together with the greeting, so that frame and first pages
+// come with its first answer: openFrame() of that frame, and a first wish that is the view, then cost no
+// round trip of their own.
+struct StartHint {
+    std::optional<std::uint32_t> frame;  // absent: the first there is
+    std::optional<StartView> view;
+};
+
+using SourceDeadline = std::chrono::steady_clock::time_point;
 
 class BrickSource {
 public:
     virtual ~BrickSource() = default;
 
+    // The folder or the address, for messages.
+    virtual std::string name() const = 0;
+    // As it was when the source was opened; the reference stays good, and is never changed.
     virtual const Manifest& manifest() const = 0;
-    // The footer of a frame; later wishes are about it. Errors: kNotFound, kIo, kRefused, kTimeout, kCorrupt.
-    virtual Result<FrameFooter> openFrame(std::uint32_t frame) = 0;
+    // As it is now: frames come while a simulation runs. Any thread.
+    virtual std::shared_ptr<const Manifest> latestManifest() const = 0;
+    // Waits until latestManifest() is another one than when this last returned true (at first: than
+    // manifest()). False where the deadline passed first. Errors: the source as a whole is lost.
+    virtual Result<bool> waitForChange(SourceDeadline deadline) = 0;
+    // The footer of a frame; later wishes are about it. Errors: kNotFound, kIo, kRefused, kCorrupt; kTimeout
+    // (by the deadline, or where a server answers nothing).
+    virtual Result<FrameFooter> openFrame(std::uint32_t frame,
+                                          SourceDeadline deadline = SourceDeadline::max()) = 0;
     // Replaces the wish before. Returns at once.
     virtual Result<void> wish(PageWish newest) = 0;
     // Waits until something of the newest wish arrives, at most until `deadline`. An empty list means that
     // the wish is done (everything sent or credit used up) or the deadline passed; `wishDone()` tells which.
-    // Errors: the source as a whole is lost.
-    virtual Result<std::vector<Arrival>> take(std::chrono::steady_clock::time_point deadline) = 0;
+    // The same page may come twice. Errors: the source as a whole is lost; kTimeout (a server that sends
+    // nothing for long, or stays away).
+    virtual Result<std::vector<Arrival>> take(SourceDeadline deadline) = 0;
     virtual bool wishDone() const = 0;
     virtual SourceCounters counters() const = 0;
 };
 
-// A dataset folder, or ws://HOST:PORT/NAME (wss:// where TLS is built in). `token` may be empty.
+// A dataset folder, or ws://HOST:PORT/NAME (wss:// where TLS is built in). `token` may be empty. `start` and
+// `timeouts` are for servers; a folder needs neither.
 // Errors: kInvalid (neither), kNotFound, kIo, kRefused, kTooNew, kTimeout.
-Result<std::unique_ptr<BrickSource>> openSource(const std::string& source, const std::string& token);
+Result<std::unique_ptr<BrickSource>> openSource(const std::string& source, const std::string& token,
+                                                const std::optional<StartHint>& start = {},
+                                                StreamTimeouts timeouts = {});
 
 }  // namespace brickyard

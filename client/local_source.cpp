@@ -2,6 +2,9 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <thread>
+
 namespace brickyard {
 namespace {
 
@@ -10,11 +13,23 @@ constexpr std::uint64_t kBlockCacheBytes = 64u << 20;
 // count.
 constexpr std::size_t kChunkPages = 64;
 constexpr std::size_t kChunkBytes = 1u << 20;
+// How often waitForChange() looks.
+constexpr std::chrono::milliseconds kLookEvery{50};
+
+std::filesystem::file_time_type modifiedAt(const std::filesystem::path& folder) {
+    std::error_code gone;
+    const auto at = std::filesystem::last_write_time(folder / kManifestName, gone);
+    return gone ? std::filesystem::file_time_type::min() : at;
+}
 
 }  // namespace
 
 LocalSource::LocalSource(Dataset dataset)
-    : dataset_(std::move(dataset)), blocks_(std::make_shared<BlockCache>(kBlockCacheBytes)) {}
+    : dataset_(std::move(dataset)),
+      modified_(modifiedAt(dataset_.folder())),
+      first_manifest_(std::make_shared<const Manifest>(dataset_.manifest())),
+      manifest_(first_manifest_),
+      blocks_(std::make_shared<BlockCache>(kBlockCacheBytes)) {}
 
 Result<std::unique_ptr<LocalSource>> LocalSource::open(const std::filesystem::path& folder) {
     auto dataset = Dataset::open(folder);
@@ -24,16 +39,48 @@ Result<std::unique_ptr<LocalSource>> LocalSource::open(const std::filesystem::pa
     return source;
 }
 
-Result<FrameFooter> LocalSource::openFrame(std::uint32_t frame) {
+std::shared_ptr<const Manifest> LocalSource::latestManifest() const {
+    const std::lock_guard lock(mutex_);
+    return manifest_;
+}
+
+Result<bool> LocalSource::refresh() {
+    const auto modified = modifiedAt(dataset_.folder());
+    if (modified == modified_) return false;
+    auto newest = Dataset::open(dataset_.folder());
+    if (!newest) return tl::unexpected(newest.error());
+    modified_ = modified;
+    dataset_ = std::move(*newest);
+    auto manifest = std::make_shared<const Manifest>(dataset_.manifest());
+    const std::lock_guard lock(mutex_);
+    const bool changed = manifest->SerializeAsString() != manifest_->SerializeAsString();
+    manifest_ = std::move(manifest);
+    stale_ = stale_ || changed;
+    return changed;
+}
+
+Result<bool> LocalSource::waitForChange(SourceDeadline deadline) {
+    for (;;) {
+        const Result<bool> changed = refresh();
+        if (!changed || *changed) return changed;
+        const auto now = std::chrono::steady_clock::now();
+        if (now >= deadline) return false;
+        std::this_thread::sleep_for(
+            std::min<std::chrono::steady_clock::duration>(kLookEvery, deadline - now));
+    }
+}
+
+Result<FrameFooter> LocalSource::openFrame(std::uint32_t frame, SourceDeadline) {
     ++counters_.round_trips;
     // Once more for another picture: a new reader would have all of its blocks decoded and cached again.
-    if (frame_ && frame_number_ == frame) {
+    if (frame_ && frame_number_ == frame && !stale_) {
         walk_.reset();
         return frame_->footer();
     }
     auto store = dataset_.openFrame(frame);
     if (!store) return tl::unexpected(store.error());
     walk_.reset();
+    stale_ = false;
     frame_number_ = frame;
     frame_ = std::make_shared<const FrameReader>(std::move(*store), blocks_);
     return frame_->footer();
@@ -52,7 +99,7 @@ Result<void> LocalSource::wish(PageWish newest) {
     return {};
 }
 
-Result<std::vector<Arrival>> LocalSource::take(std::chrono::steady_clock::time_point deadline) {
+Result<std::vector<Arrival>> LocalSource::take(SourceDeadline deadline) {
     std::vector<Arrival> chunk;
     std::size_t bytes = 0;
     while (walk_ && chunk.size() < kChunkPages && bytes < kChunkBytes) {

@@ -52,7 +52,8 @@ struct RenderOutcome {
     Camera camera;  // as used
     bool final = false;
     NotFinal not_final;
-    std::string first_failure;
+    std::string first_failure;  // names dataset, frame, channel and brick
+    std::uint64_t retried = 0;  // pages and tree blocks that came damaged and were asked for once more
     double seconds_total = 0, seconds_first_image = 0;
     // Rays only: of all passes, or with RenderRequest::repeats the median of those (all pages resident).
     double seconds_render = 0;
@@ -73,5 +74,9 @@ public:
 };
 
 std::unique_ptr<Renderer> makeCpuRenderer();
+
+// What a picture that starts from nothing asks for first, for openSource(): it then begins with the server's
+// first answer. `frame` absent: the first there is.
+StartHint startHint(const RenderRequest& request, std::optional<std::uint32_t> frame);
 
 }  // namespace brickyard

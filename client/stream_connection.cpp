@@ -2,15 +2,15 @@
 
 #include <fmt/format.h>
 
-#include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
 #include <boost/asio/post.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <boost/beast/core/flat_buffer.hpp>
 #include <boost/beast/core/tcp_stream.hpp>
 #include <boost/beast/websocket.hpp>
-#include <thread>
+#include <mutex>
 
+#include "client/network_thread.h"
 #include "core/brick_codec.h"
 #include "core/percent_code.h"
 #include "core/stream_frame.h"
@@ -30,37 +30,67 @@ constexpr std::size_t kKeptBufferBytes = 4u << 20;
 
 }  // namespace
 
-struct StreamConnection::State {
-    State(StreamAddress to, StreamTimeouts limits, Handlers calls)
+// Kept alive by its own handlers: the owner may be gone before the last of them has run.
+struct StreamConnection::State : std::enable_shared_from_this<State> {
+    State(asio::io_context& io, StreamAddress to, StreamTimeouts limits, Handlers calls)
         : address(std::move(to)),
           timeouts(limits),
           handlers(std::move(calls)),
           resolver(io),
           stream(io),
-          deadline(io) {}
+          timer(io) {}
 
-    void start() {
-        deadline.expires_after(timeouts.connect);
-        deadline.async_wait([this](ErrorCondition error) {
+    // A completion handler that runs `body(results...)` unless the connection has ended. The gate is what the
+    // owner's destructor waits at. An exception is out of memory, in all likelihood: the connection is of no
+    // more use, and its owner must learn it.
+    template <class Body>
+    auto handler(Body body) {
+        return [self = this->shared_from_this(), body = std::move(body)](auto&&... results) mutable {
+            const std::lock_guard lock(self->gate);
+            if (self->ended) return;
+            try {
+                body(results...);
+            } catch (const std::exception& error) {
+                self->lose(ErrorCode::kIo, fmt::format("the connection failed: {}", error.what()));
+            }
+        };
+    }
+
+    void start(std::chrono::milliseconds delay) {
+        timer.expires_after(delay);
+        timer.async_wait(handler([this](ErrorCondition error) {
+            if (!error) resolve();
+        }));
+    }
+
+    void resolve() {
+        timer.expires_after(timeouts.connect);
+        timer.async_wait(handler([this](ErrorCondition error) {
             if (error || open || lost) return;
+            const double seconds = std::chrono::duration<double>(timeouts.connect).count();
             lose(ErrorCode::kTimeout,
-                 fmt::format("no answer within {} s; is `brickyard serve` running there?",
-                             std::chrono::duration_cast<std::chrono::seconds>(timeouts.connect).count()));
-        });
-        resolver.async_resolve(address.host, std::to_string(address.port),
-                               [this](ErrorCondition error, const tcp::resolver::results_type& found) {
-                                   if (lost) return;
-                                   if (error)
-                                       return lose(
-                                           ErrorCode::kNotFound,
-                                           fmt::format("no such host: {}; check the name", error.message()));
-                                   connect(found);
-                               });
+                 fmt::format("no answer within {:.3g} s; is `brickyard serve` running there?", seconds));
+        }));
+        // A number needs no resolver, which would start a thread of its own for the first name.
+        ErrorCondition is_name;
+        const asio::ip::address number = asio::ip::make_address(address.host, is_name);
+        if (!is_name)
+            return connect(tcp::resolver::results_type::create(tcp::endpoint(number, address.port),
+                                                               address.host, std::to_string(address.port)));
+        resolver.async_resolve(
+            address.host, std::to_string(address.port),
+            handler([this](ErrorCondition error, const tcp::resolver::results_type& found) {
+                if (lost) return;
+                if (error)
+                    return lose(ErrorCode::kNotFound,
+                                fmt::format("no such host: {}; check the name", error.message()));
+                connect(found);
+            }));
     }
 
     void connect(const tcp::resolver::results_type& found) {
         beast::get_lowest_layer(stream).async_connect(
-            found, [this](ErrorCondition error, const tcp::endpoint&) {
+            found, handler([this](ErrorCondition error, const tcp::endpoint&) {
                 if (lost) return;
                 if (error) {
                     const auto code =
@@ -69,7 +99,7 @@ struct StreamConnection::State {
                                                   error.message()));
                 }
                 handshake();
-            });
+            }));
     }
 
     void handshake() {
@@ -80,8 +110,9 @@ struct StreamConnection::State {
         stream.auto_fragment(false);
         stream.read_message_max(kMaxMessageBytes);
         stream.async_handshake(
-            response, address.hostAndPort(), "/" + percentEncode(address.dataset),
-            [this](ErrorCondition error) {
+            response, address.hostAndPort(),
+            "/" + (address.dataset.empty() ? "v1/stream" : percentEncode(address.dataset)),
+            handler([this](ErrorCondition error) {
                 if (lost) return;
                 if (error == websocket::error::upgrade_declined) {
                     // The body is one line for a person, and not longer than we care for.
@@ -97,40 +128,42 @@ struct StreamConnection::State {
                         fmt::format("not a Brickyard stream: {}; is this the port of `brickyard serve`?",
                                     error.message()));
                 open = true;
-                deadline.cancel();
+                timer.cancel();
                 handlers.on_open();
                 send();
                 read();
-            });
+            }));
     }
 
     void read() {
-        if (reading || lost || !open) return;
+        if (reading || lost || !open || ended) return;
         reading = true;
-        stream.async_read(in, [this](ErrorCondition error, std::size_t) {
-            reading = false;
-            if (lost) return;
-            if (error) return lose(ErrorCode::kIo, describeLoss(error));
-            const auto data = in.cdata();
-            const bool go_on = handlers.on_message({static_cast<const std::byte*>(data.data()), data.size()});
-            in.clear();
-            if (in.capacity() > kKeptBufferBytes) in.shrink_to_fit();
-            if (go_on) read();
-        });
+        stream.async_read(in, handler([this](ErrorCondition error, std::size_t) {
+                              reading = false;
+                              if (lost) return;
+                              if (error) return lose(ErrorCode::kIo, describeLoss(error));
+                              const auto data = in.cdata();
+                              const bool go_on = handlers.on_message(
+                                  {static_cast<const std::byte*>(data.data()), data.size()});
+                              if (ended) return;
+                              in.clear();
+                              if (in.capacity() > kKeptBufferBytes) in.shrink_to_fit();
+                              if (go_on) read();
+                          }));
     }
 
     void send() {
-        if (sending || lost || !open) return;
+        if (sending || lost || !open || ended) return;
         out = handlers.next_message();
-        if (out.empty()) return;
+        if (out.empty() || ended) return;
         sending = true;
-        stream.async_write(asio::buffer(out), [this](ErrorCondition error, std::size_t) {
-            sending = false;
-            if (lost) return;
-            // A server that refused us may have closed already: why is still to be read.
-            if (error && !reading) return lose(ErrorCode::kIo, describeLoss(error));
-            if (!error) send();
-        });
+        stream.async_write(asio::buffer(out), handler([this](ErrorCondition error, std::size_t) {
+                               sending = false;
+                               if (lost) return;
+                               // A server that refused us may have closed already: why is still to be read.
+                               if (error && !reading) return lose(ErrorCode::kIo, describeLoss(error));
+                               if (!error) send();
+                           }));
     }
 
     std::string describeLoss(ErrorCondition error) const {
@@ -145,54 +178,55 @@ struct StreamConnection::State {
     }
 
     void lose(ErrorCode code, const std::string& why) {
-        if (lost) return;
+        if (lost || ended) return;
         lost = true;
-        deadline.cancel();
+        close();
+        handlers.on_lost({code, fmt::format("{}: {}", address.url(), why)});
+    }
+
+    void close() {
+        timer.cancel();
         resolver.cancel();
         beast::get_lowest_layer(stream).close();
-        handlers.on_lost({code, fmt::format("{}: {}", address.url(), why)});
     }
 
     const StreamAddress address;
     const StreamTimeouts timeouts;
     const Handlers handlers;
-    asio::io_context io{1};
+    std::recursive_mutex gate;  // held while a handler runs; recursive, because that may destroy its owner
+    bool ended = false;         // guarded by the gate: the owner is gone
+    // The network thread's.
     tcp::resolver resolver;
     websocket::stream<beast::tcp_stream> stream;
-    asio::steady_timer deadline;
+    asio::steady_timer timer;  // of the delay, then of connecting
     websocket::response_type response;
     beast::flat_buffer in;
     std::vector<std::byte> out;
     bool open = false, lost = false, reading = false, sending = false;
-    std::thread thread;
 };
 
-StreamConnection::StreamConnection(StreamAddress address, StreamTimeouts timeouts, Handlers handlers)
-    : state_(std::make_unique<State>(std::move(address), timeouts, std::move(handlers))) {
-    asio::post(state_->io, [raw = state_.get()] { raw->start(); });
-    state_->thread = std::thread([raw = state_.get()] {
-        const auto work = asio::make_work_guard(raw->io);
-        try {
-            raw->io.run();
-        } catch (const std::exception& error) {
-            // Out of memory, in all likelihood: the connection is of no more use, and its owner must learn
-            // it.
-            raw->lose(ErrorCode::kIo, fmt::format("the connection failed: {}", error.what()));
-        }
-    });
+StreamConnection::StreamConnection(StreamAddress address, StreamTimeouts timeouts, Handlers handlers,
+                                   std::shared_ptr<NetworkThread> thread, std::chrono::milliseconds delay)
+    : thread_(thread ? std::move(thread) : NetworkThread::shared()),
+      state_(std::make_shared<State>(thread_->io(), std::move(address), timeouts, std::move(handlers))) {
+    asio::post(thread_->io(), state_->handler([raw = state_.get(), delay] { raw->start(delay); }));
 }
 
 StreamConnection::~StreamConnection() {
-    state_->io.stop();
-    state_->thread.join();
+    {
+        const std::lock_guard lock(state_->gate);
+        state_->ended = true;
+    }
+    // Only the network thread may touch the socket.
+    asio::post(thread_->io(), [state = std::move(state_)] { state->close(); });
 }
 
 void StreamConnection::wakeSender() {
-    asio::post(state_->io, [raw = state_.get()] { raw->send(); });
+    asio::post(thread_->io(), state_->handler([raw = state_.get()] { raw->send(); }));
 }
 
 void StreamConnection::resumeReading() {
-    asio::post(state_->io, [raw = state_.get()] { raw->read(); });
+    asio::post(thread_->io(), state_->handler([raw = state_.get()] { raw->read(); }));
 }
 
 }  // namespace brickyard

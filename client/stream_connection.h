@@ -1,5 +1,6 @@
-// A WebSocket to a server, with a thread of its own: whole binary messages out and in, nothing about their
-// meaning. Members may be called from any thread; the handlers are called on the connection's thread.
+// A WebSocket to a server: whole binary messages out and in, nothing about their meaning. Members may be
+// called from any thread; the handlers are called on the network thread that the connection was given, one at
+// a time.
 #pragma once
 
 #include <chrono>
@@ -10,14 +11,12 @@
 #include <vector>
 
 #include "client/stream_address.h"
+#include "client/stream_timeouts.h"
 #include "core/result.h"
 
 namespace brickyard {
 
-struct StreamTimeouts {
-    std::chrono::milliseconds connect{10'000};  // name, TCP and WebSocket together
-    std::chrono::milliseconds idle{60'000};     // of a server that answers nothing, not even pings
-};
+class NetworkThread;
 
 class StreamConnection {
 public:
@@ -31,9 +30,11 @@ public:
         std::function<std::vector<std::byte>()> next_message;
     };
 
-    // Connects in the background.
-    StreamConnection(StreamAddress address, StreamTimeouts timeouts, Handlers handlers);
-    // Cuts the connection and waits for its thread; no handler is called afterwards.
+    // Connects in the background, `delay` from now. `thread`: nullptr is NetworkThread::shared().
+    StreamConnection(StreamAddress address, StreamTimeouts timeouts, Handlers handlers,
+                     std::shared_ptr<NetworkThread> thread = nullptr, std::chrono::milliseconds delay = {});
+    // Cuts the connection. Waits for a handler that is running, and none is called afterwards; a handler may
+    // destroy its own connection.
     ~StreamConnection();
     StreamConnection(const StreamConnection&) = delete;
     StreamConnection& operator=(const StreamConnection&) = delete;
@@ -44,7 +45,8 @@ public:
 
 private:
     struct State;
-    std::unique_ptr<State> state_;
+    std::shared_ptr<NetworkThread> thread_;
+    std::shared_ptr<State> state_;
 };
 
 }  // namespace brickyard

@@ -99,6 +99,16 @@ Result<std::uint32_t> chooseFrame(const Manifest& manifest, const RenderOptions&
     return *options.frame;
 }
 
+// Opening a source is part of a picture that has a deadline.
+StreamTimeouts timeoutsOf(const RenderRequest& request) {
+    StreamTimeouts timeouts;
+    if (!request.deadline) return timeouts;
+    // Half for the connection, the rest for the first answer.
+    const auto half = std::chrono::duration_cast<std::chrono::milliseconds>(*request.deadline / 2);
+    timeouts.connect = std::clamp(half, std::chrono::milliseconds(1), timeouts.connect);
+    return timeouts;
+}
+
 nlohmann::json toJson(const RenderOutcome& outcome) {
     double max_bound = 0, sum_bound = 0, max_estimate = 0, sum_estimate = 0, alpha = 0;
     double max_alpha_bound = 0, max_alpha_estimate = 0;
@@ -123,6 +133,8 @@ nlohmann::json toJson(const RenderOutcome& outcome) {
         {"pages_streamed", outcome.streamed.pages_streamed},
         {"tree_blocks_streamed", outcome.streamed.blocks_streamed},
         {"round_trips", outcome.streamed.round_trips},
+        {"reconnects", outcome.streamed.reconnects},
+        {"pages_retried", outcome.retried},
         {"cache_bytes", outcome.cache_bytes},
         {"cache_reloads", outcome.cache.reloads},
         {"light_bytes", outcome.light_bytes},
@@ -141,6 +153,7 @@ nlohmann::json toJson(const RenderOutcome& outcome) {
           {"over_budget", outcome.not_final.over_budget},
           {"failed", outcome.not_final.failed},
           {"no_finer_data", outcome.not_final.no_finer_data}}},
+        {"first_failure", outcome.first_failure},
         {"width", outcome.picture.width},
         {"height", outcome.picture.height},
         {"camera",
@@ -219,8 +232,11 @@ Result<RenderOutcome> renderTo(const RenderOptions& options, RenderRequest reque
     const Result<std::string> token = readToken(options.token_file);
     if (!token) return tl::unexpected(token.error());
 
-    const Result<std::unique_ptr<BrickSource>> source = openSource(options.source, *token);
+    const auto begin = std::chrono::steady_clock::now();
+    const Result<std::unique_ptr<BrickSource>> source =
+        openSource(options.source, *token, startHint(request, options.frame), timeoutsOf(request));
     if (!source) return tl::unexpected(source.error());
+    if (request.deadline) *request.deadline -= std::chrono::steady_clock::now() - begin;
     const Result<std::uint32_t> frame = chooseFrame((*source)->manifest(), options);
     if (!frame) return tl::unexpected(frame.error());
     request.frame = *frame;

@@ -62,6 +62,10 @@ private:
         if (density_ && density_->index() == index) return density_;
         return emission_ && emission_->index() == index ? emission_ : nullptr;
     }
+    SourceDeadline deadline() const {
+        if (!request_.deadline) return SourceDeadline::max();
+        return begin_ + std::chrono::duration_cast<std::chrono::steady_clock::duration>(*request_.deadline);
+    }
     bool late() const {
         return request_.deadline && std::chrono::steady_clock::now() - begin_ >= *request_.deadline;
     }

@@ -25,12 +25,9 @@ constexpr std::uint64_t kLeastBatchBytes = 16u << 10, kBatchShare = 6;
 // A first wish that needs no knowledge: the top of each tree, and an overview of what the camera sees.
 Result<void> CpuPicture::take(const PageWish& wish) {
     if (Result<void> sent = source_.wish(wish); !sent) return sent;
-    Clock::time_point deadline = Clock::time_point::max();
-    if (request_.deadline)
-        deadline = begin_ + std::chrono::duration_cast<Clock::duration>(*request_.deadline);
     cache_->beginPass();
     while (!late()) {
-        Result<std::vector<Arrival>> arrivals = source_.take(deadline);
+        Result<std::vector<Arrival>> arrivals = source_.take(deadline());
         if (!arrivals) return tl::unexpected(arrivals.error());
         if (arrivals->empty()) break;
         for (const Arrival& arrival : *arrivals) arrive(arrival);
@@ -41,14 +38,21 @@ Result<void> CpuPicture::take(const PageWish& wish) {
 void CpuPicture::arrive(const Arrival& arrival) {
     const PageAddress& address = arrival.page.address;
     const WantedPage key{arrival.page.is_block, address};
+    PagedChannel* channel = channelOf(address.channel);
+    if (!channel) return;  // not asked for
     auto failed = [&](const std::string& why) {
         // Once more: a flipped bit on the way is not one on the disk.
         if (arrival.bytes && retried_.insert(key).second) return;
-        if (failed_.insert(key).second && outcome_.first_failure.empty()) outcome_.first_failure = why;
+        if (!failed_.insert(key).second || !outcome_.first_failure.empty()) return;
+        // A tree block's own words name it.
+        const std::string brick =
+            arrival.page.is_block ? ""
+                                  : fmt::format("channel '{}': brick {} of tree block {}: ", channel->name(),
+                                                address.node, address.block);
+        outcome_.first_failure =
+            fmt::format("{}: frame {}: {}{}", source_.name(), request_.frame, brick, why);
     };
     if (!arrival.bytes) return failed(arrival.bytes.error().message);
-    PagedChannel* channel = channelOf(address.channel);
-    if (!channel) return;  // not asked for
     if (arrival.page.is_block) {
         if (Result<void> added = channel->addBlock(address.block, *arrival.bytes); !added)
             failed(added.error().message);
@@ -58,19 +62,17 @@ void CpuPicture::arrive(const Arrival& arrival) {
     if (!block || address.node >= block->nodeCount() || !block->record(address.node).hasBrick()) return;
     if (cache_->contains(address)) return;
     const NodeRecord& record = block->record(address.node);
-    const std::string where =
-        fmt::format("channel '{}': brick {} of tree block {}", channel->name(), address.node, address.block);
     if (address.draft && !record.hasDraft()) return;
     if (arrival.bytes->size() != (address.draft ? record.draft_bytes : record.payload_bytes) ||
         checksum(*arrival.bytes) != (address.draft ? record.draft_checksum : record.payload_checksum))
-        return failed(where + " fails its checksum; run `brickyard verify` on the dataset");
+        return failed("fails its checksum; run `brickyard verify` on the dataset");
     // Decoded aside: a payload that is refused half-way must not leave half a brick in the cache.
     std::vector<float> samples(channel->shape().samples());
     const SampleType type = levelType(channel->type(), channel->levelOf({address.block, address.node}));
     const Result<void> decoded = address.draft
                                      ? decodeDraftToFloat(*arrival.bytes, channel->shape(), type, 1, samples)
                                      : decodeBrickToFloat(*arrival.bytes, channel->shape(), type, 1, samples);
-    if (!decoded) return failed(where + ": " + decoded.error().message);
+    if (!decoded) return failed(decoded.error().message);
     float* slot = cache_->insert(address);
     if (!slot) return;  // no room now: it is wanted again
     *std::copy(samples.begin(), samples.end(), slot) = steepnessOf(samples, channel->shape());

@@ -13,14 +13,42 @@ namespace {
 constexpr std::uint64_t kOverviewBytes = 256u << 10;
 constexpr float kOverviewPixelsPerVoxel = 16;
 
+std::uint64_t overviewCredit(const RenderRequest& request) {
+    return std::min({kOverviewBytes, request.max_stream_bytes, request.cache_bytes / 4});
+}
+
 }  // namespace
+
+StartHint startHint(const RenderRequest& request, std::optional<std::uint32_t> frame) {
+    StartHint hint{frame, std::nullopt};
+    const Medium& medium = request.scene.medium();
+    StartView view;
+    view.camera = request.camera;
+    if (!view.camera && request.scene.has_camera()) view.camera = request.scene.camera();
+    // The server frames the channel as it is stored, and ends a connection whose camera cannot be: in either
+    // case the picture finds its overview when it knows the frame.
+    const bool moved = std::any_of(medium.sample_offset().begin(), medium.sample_offset().end(),
+                                   [](double offset) { return offset != 0; });
+    if (view.camera ? !PinholeCamera::create(*view.camera, request.width, request.height) : moved)
+        return hint;
+    view.width = request.width;
+    view.height = request.height;
+    view.channels.push_back(medium.density());
+    if (medium.has_emission()) view.channels.push_back(medium.emission().channel());
+    view.pixels_per_voxel = kOverviewPixelsPerVoxel;
+    view.credit_bytes = overviewCredit(request);
+    hint.view = std::move(view);
+    return hint;
+}
 
 Result<void> CpuPicture::open() {
     threads_ = request_.threads ? request_.threads : std::max(1u, std::thread::hardware_concurrency());
-    Result<FrameFooter> footer = source_.openFrame(request_.frame);
+    Result<FrameFooter> footer = source_.openFrame(request_.frame, deadline());
     if (!footer) return tl::unexpected(footer.error());
     std::uint64_t file_bytes = UINT64_MAX;
-    for (const FrameEntry& entry : source_.manifest().frames())
+    // The newest: the frame may have come, or have been converted again, since the source was opened.
+    const std::shared_ptr<const Manifest> manifest = source_.latestManifest();
+    for (const FrameEntry& entry : manifest->frames())
         if (entry.frame() == request_.frame) file_bytes = entry.file_bytes();
 
     Result<SceneSettings> scene = bindScene(request_.scene, *footer);
@@ -93,8 +121,7 @@ Result<RenderOutcome> CpuPicture::run() {
             view.channels.push_back(channel->index());
     if (!view.channels.empty()) {
         overview.views.push_back(view);
-        overview.credit_bytes =
-            std::min({kOverviewBytes, request_.max_stream_bytes, request_.cache_bytes / 4});
+        overview.credit_bytes = overviewCredit(request_);
         if (Result<void> taken = take(overview); !taken) return tl::unexpected(taken.error());
     }
 
@@ -128,6 +155,7 @@ Result<RenderOutcome> CpuPicture::run() {
     if (outcome_.passes == 0) outcome_.seconds_first_image = secondsSince(begin_);
     outcome_.final = all_done && failed_.empty();
     outcome_.not_final.failed = failed_.size();
+    outcome_.retried = retried_.size();
     if (!all_done)
         (over_budget_ ? outcome_.not_final.over_budget : outcome_.not_final.queued) =
             std::max<std::size_t>(1, wants_.size());

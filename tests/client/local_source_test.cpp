@@ -35,6 +35,23 @@ protected:
     std::unique_ptr<BrickSource> source_;
 };
 
+TEST_F(LocalSourceTest, TellsWhenFramesCome) {
+    using std::chrono::milliseconds;
+    const TinyDataset one("tiny", {.frames = {30}}), two("tiny", {.frames = {30, 31}});
+    auto source = std::move(*openSource(one.folder().string(), ""));
+    const Manifest& before = source->manifest();
+    EXPECT_FALSE(*source->waitForChange(std::chrono::steady_clock::now() + milliseconds(20)));
+    for (const char* what : {"frames", "manifest.json"})
+        std::filesystem::copy(
+            two.folder() / what, one.folder() / what,
+            std::filesystem::copy_options::recursive | std::filesystem::copy_options::overwrite_existing);
+    EXPECT_TRUE(*source->waitForChange(std::chrono::steady_clock::now() + std::chrono::seconds(10)));
+    EXPECT_EQ(source->latestManifest()->frames_size(), 2);
+    EXPECT_EQ(before.frames_size(), 1) << "what was handed out stays";
+    EXPECT_TRUE(source->openFrame(31));
+    EXPECT_FALSE(*source->waitForChange(std::chrono::steady_clock::now() + milliseconds(20)));
+}
+
 TEST_F(LocalSourceTest, GivesTheFooterOfAFrame) {
     EXPECT_EQ(source_->manifest().frames(0).frame(), 30u);
     EXPECT_EQ(source_->openFrame(30)->channels_size(), 2);

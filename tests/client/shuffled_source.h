@@ -4,24 +4,23 @@
 
 #include <algorithm>
 #include <iterator>
-#include <memory>
 #include <random>
 #include <utility>
 #include <vector>
 
-#include "client/brick_source.h"
+#include "forwarding_source.h"
 
 namespace brickyard {
 
-class ShuffledSource final : public BrickSource {
+class ShuffledSource final : public ForwardingSource {
 public:
     ShuffledSource(std::unique_ptr<BrickSource> inner, unsigned seed)
-        : inner_(std::move(inner)), random_(seed) {}
+        : ForwardingSource(std::move(inner)), random_(seed) {}
 
-    const Manifest& manifest() const override { return inner_->manifest(); }
-    Result<FrameFooter> openFrame(std::uint32_t frame) override {
+    Result<FrameFooter> openFrame(std::uint32_t frame,
+                                  SourceDeadline deadline = SourceDeadline::max()) override {
         waiting_.clear();
-        return inner_->openFrame(frame);
+        return inner_->openFrame(frame, deadline);
     }
     Result<void> wish(PageWish newest) override {
         waiting_.clear();
@@ -48,11 +47,9 @@ public:
         return piece;
     }
     bool wishDone() const override { return waiting_.empty(); }
-    SourceCounters counters() const override { return inner_->counters(); }
     std::uint64_t heldBack() const { return held_back_; }
 
 private:
-    std::unique_ptr<BrickSource> inner_;
     std::mt19937 random_;
     std::vector<Arrival> waiting_;
     std::uint64_t held_back_ = 0;
