@@ -7,6 +7,7 @@
 #include "core/brick_codec.h"
 
 namespace brickyard {
+
 Result<WishWalk> WishWalk::create(std::shared_ptr<const FrameReader> frame, PageWish wish) {
     wish.credit_bytes = std::min(wish.credit_bytes, kMaxWishBytes);
     // A block has no node number: the same block must always have the same address.
@@ -157,43 +158,6 @@ Result<void> WishWalk::readPlanned(std::span<std::byte> out, ReadMode mode) {
     if (read) sent_bytes_ += out.size();
     planned_.reset();
     return read;
-}
-
-void WishWalk::describeNextView() {
-    const CameraView& view = wish_.views[next_view_];
-    DescentLimits limits;
-    limits.pixels_per_voxel = view.pixels_per_voxel > 0 ? view.pixels_per_voxel : 1;
-    // One byte more than there is room for, so that running out of credit shows.
-    limits.max_bytes = wish_.credit_bytes - sent_bytes_ + 1;
-
-    std::vector<std::vector<DescentStep>> channels;
-    for (const std::uint32_t channel : view.channels) {
-        std::uint32_t failed_block = 0;
-        const auto load = [&](std::uint32_t block) {
-            auto loaded = frame_->block(channel, block);
-            if (!loaded) failed_block = block;
-            return loaded;
-        };
-        auto steps = describeView(cameras_[next_view_], frame_->footer().channels(int(channel)), channel,
-                                  int(frame_->footer().brick_edge()), load, limits);
-        if (steps)
-            channels.push_back(std::move(*steps));
-        else
-            failure_ = Planned{{true, {channel, failed_block, 0}}, tl::unexpected(steps.error())};
-    }
-    auto pages = interleave(channels);
-    // What the list has sent already is not sent again.
-    if (!wish_.pages.empty()) {
-        std::unordered_set<PageAddress, PageAddressHash> listed_blocks, listed_bricks;
-        for (const WishedPage& page : wish_.pages)
-            (page.is_block ? listed_blocks : listed_bricks).insert(page.address);
-        std::erase_if(pages, [&](const WishedPage& page) {
-            return (page.is_block ? listed_blocks : listed_bricks).contains(page.address);
-        });
-    }
-    wish_.pages = std::move(pages);
-    next_page_ = 0;
-    ++next_view_;
 }
 
 }  // namespace brickyard
