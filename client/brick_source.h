@@ -6,6 +6,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
@@ -80,10 +81,20 @@ public:
     virtual SourceCounters counters() const = 0;
 };
 
-// A dataset folder, or ws://HOST:PORT/NAME (wss:// where TLS is built in). `token` may be empty. `start` and
+// What a client shows a server, and what it wants to be shown.
+struct SourceAccess {
+    SourceAccess(std::string the_token = {}, std::filesystem::path the_authorities = {})
+        : token(std::move(the_token)), authorities(std::move(the_authorities)) {}
+    SourceAccess(const char* the_token) : token(the_token) {}
+    std::string token;  // empty where the server asks for none
+    std::filesystem::path
+        authorities;  // of wss://, PEM: whose certificates are believed; empty: this machine's
+};
+
+// A dataset folder, or ws://HOST:PORT/NAME, or wss:// for TLS. `start` and
 // `timeouts` are for servers; a folder needs neither.
 // Errors: kInvalid (neither), kNotFound, kIo, kRefused, kTooNew, kTimeout.
-Result<std::unique_ptr<BrickSource>> openSource(const std::string& source, const std::string& token,
+Result<std::unique_ptr<BrickSource>> openSource(const std::string& source, const SourceAccess& access,
                                                 const std::optional<StartHint>& start = {},
                                                 StreamTimeouts timeouts = {});
 

@@ -6,13 +6,14 @@
 
 namespace brickyard {
 
-Result<std::unique_ptr<BrickSource>> openSource(const std::string& source, const std::string& token,
+Result<std::unique_ptr<BrickSource>> openSource(const std::string& source, const SourceAccess& access,
                                                 const std::optional<StartHint>& start,
                                                 StreamTimeouts timeouts) {
     if (source.find("://") != std::string::npos) {
-        const auto address = StreamAddress::parse(source);
+        auto address = StreamAddress::parse(source);
         if (!address) return tl::unexpected(address.error());
-        auto remote = RemoteSource::open(*address, token, timeouts, start);
+        address->authorities = access.authorities;
+        auto remote = RemoteSource::open(*address, access.token, timeouts, start);
         if (!remote) return tl::unexpected(remote.error());
         return std::move(*remote);
     }

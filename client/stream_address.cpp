@@ -9,6 +9,9 @@
 namespace brickyard {
 namespace {
 
+// That of a proxy in front, as everybody's wss:// has it.
+constexpr std::uint16_t kSecurePort = 443;
+
 tl::unexpected<Error> malformed(std::string_view url, std::string_view what) {
     return fail(
         ErrorCode::kInvalid,
@@ -18,20 +21,17 @@ tl::unexpected<Error> malformed(std::string_view url, std::string_view what) {
 }  // namespace
 
 Result<StreamAddress> StreamAddress::parse(std::string_view url) {
-    constexpr std::string_view kScheme = "ws://";
-    if (url.starts_with("wss://"))
-        return fail(
-            ErrorCode::kUnsupported,
-            fmt::format(
-                "{}: wss:// (TLS) is not built in; use ws://, over a tunnel where the network is not trusted",
-                url));
-    if (!url.starts_with(kScheme)) return malformed(url, "not an address of a server");
-    std::string_view rest = url.substr(kScheme.size());
+    constexpr std::string_view kScheme = "ws://", kSecure = "wss://";
+    const bool secure = url.starts_with(kSecure);
+    if (!secure && !url.starts_with(kScheme)) return malformed(url, "not an address of a server");
+    std::string_view rest = url.substr(secure ? kSecure.size() : kScheme.size());
     const auto slash = rest.find('/');
     std::string_view authority = rest.substr(0, slash);
     std::string_view name = slash == std::string_view::npos ? std::string_view{} : rest.substr(slash + 1);
 
     StreamAddress address;
+    address.secure = secure;
+    if (secure) address.port = kSecurePort;
     std::string_view port;
     if (authority.starts_with('[')) {
         const auto bracket = authority.find(']');
@@ -68,7 +68,7 @@ std::string StreamAddress::hostAndPort() const {
 }
 
 std::string StreamAddress::url() const {
-    return fmt::format("ws://{}/{}", hostAndPort(), percentEncode(dataset));
+    return fmt::format("{}://{}/{}", secure ? "wss" : "ws", hostAndPort(), percentEncode(dataset));
 }
 
 }  // namespace brickyard

@@ -2,18 +2,22 @@
 
 #include <fmt/format.h>
 
+#include <boost/asio/connect.hpp>
 #include <boost/asio/ip/tcp.hpp>
 #include <boost/asio/post.hpp>
 #include <boost/asio/steady_timer.hpp>
 #include <boost/beast/core/flat_buffer.hpp>
-#include <boost/beast/core/tcp_stream.hpp>
 #include <boost/beast/websocket.hpp>
 #include <mutex>
+#include <optional>
 
 #include "client/network_thread.h"
 #include "core/brick_codec.h"
 #include "core/percent_code.h"
 #include "core/stream_frame.h"
+#include "transport/any_stream.h"
+#include "transport/plain_stream.h"
+#include "transport/tls_stream.h"
 
 namespace brickyard {
 namespace {
@@ -37,7 +41,7 @@ struct StreamConnection::State : std::enable_shared_from_this<State> {
           timeouts(limits),
           handlers(std::move(calls)),
           resolver(io),
-          stream(io),
+          socket(io.get_executor()),
           timer(io) {}
 
     // A completion handler that runs `body(results...)` unless the connection has ended. The gate is what the
@@ -89,8 +93,8 @@ struct StreamConnection::State : std::enable_shared_from_this<State> {
     }
 
     void connect(const tcp::resolver::results_type& found) {
-        beast::get_lowest_layer(stream).async_connect(
-            found, handler([this](ErrorCondition error, const tcp::endpoint&) {
+        asio::async_connect(
+            socket, found, handler([this](ErrorCondition error, const tcp::endpoint&) {
                 if (lost) return;
                 if (error) {
                     const auto code =
@@ -98,18 +102,41 @@ struct StreamConnection::State : std::enable_shared_from_this<State> {
                     return lose(code, fmt::format("cannot connect: {}; is `brickyard serve` running there?",
                                                   error.message()));
                 }
-                handshake();
+                encrypt();
             }));
     }
 
-    void handshake() {
+    void encrypt() {
         ErrorCondition ignored;
-        beast::get_lowest_layer(stream).socket().set_option(tcp::no_delay(true), ignored);
-        stream.set_option(websocket::stream_base::timeout{timeouts.connect, timeouts.idle, true});
-        stream.binary(true);
-        stream.auto_fragment(false);
-        stream.read_message_max(kMaxMessageBytes);
-        stream.async_handshake(
+        socket.set_option(tcp::no_delay(true), ignored);
+        std::unique_ptr<ByteStream> bytes;
+        if (address.secure) {
+            auto tls = loadClientTls(address.authorities);
+            if (!tls) return lose(tls.error().code, tls.error().message);
+            bytes = makeTlsClientStream(std::move(socket), std::move(*tls), address.host);
+        } else {
+            bytes = makePlainStream(std::move(socket));
+        }
+        stream.emplace(std::move(bytes));
+        stream->next_layer().bytes().asyncHandshake(OnceHandler(handler([this](ErrorCondition error,
+                                                                               std::size_t) {
+            if (lost) return;
+            if (error)
+                return lose(ErrorCode::kRefused,
+                            fmt::format("no encrypted connection: {}; is this a port with TLS, and is its "
+                                        "certificate one that this machine believes (--tls-ca)?",
+                                        error.message()));
+            handshake();
+        })));
+    }
+
+    void handshake() {
+        auto& web_socket = *stream;
+        web_socket.set_option(websocket::stream_base::timeout{timeouts.connect, timeouts.idle, true});
+        web_socket.binary(true);
+        web_socket.auto_fragment(false);
+        web_socket.read_message_max(kMaxMessageBytes);
+        web_socket.async_handshake(
             response, address.hostAndPort(),
             "/" + (address.dataset.empty() ? "v1/stream" : percentEncode(address.dataset)),
             handler([this](ErrorCondition error) {
@@ -138,18 +165,18 @@ struct StreamConnection::State : std::enable_shared_from_this<State> {
     void read() {
         if (reading || lost || !open || ended) return;
         reading = true;
-        stream.async_read(in, handler([this](ErrorCondition error, std::size_t) {
-                              reading = false;
-                              if (lost) return;
-                              if (error) return lose(ErrorCode::kIo, describeLoss(error));
-                              const auto data = in.cdata();
-                              const bool go_on = handlers.on_message(
-                                  {static_cast<const std::byte*>(data.data()), data.size()});
-                              if (ended) return;
-                              in.clear();
-                              if (in.capacity() > kKeptBufferBytes) in.shrink_to_fit();
-                              if (go_on) read();
-                          }));
+        stream->async_read(in, handler([this](ErrorCondition error, std::size_t) {
+                               reading = false;
+                               if (lost) return;
+                               if (error) return lose(ErrorCode::kIo, describeLoss(error));
+                               const auto data = in.cdata();
+                               const bool go_on = handlers.on_message(
+                                   {static_cast<const std::byte*>(data.data()), data.size()});
+                               if (ended) return;
+                               in.clear();
+                               if (in.capacity() > kKeptBufferBytes) in.shrink_to_fit();
+                               if (go_on) read();
+                           }));
     }
 
     void send() {
@@ -157,13 +184,13 @@ struct StreamConnection::State : std::enable_shared_from_this<State> {
         out = handlers.next_message();
         if (out.empty() || ended) return;
         sending = true;
-        stream.async_write(asio::buffer(out), handler([this](ErrorCondition error, std::size_t) {
-                               sending = false;
-                               if (lost) return;
-                               // A server that refused us may have closed already: why is still to be read.
-                               if (error && !reading) return lose(ErrorCode::kIo, describeLoss(error));
-                               if (!error) send();
-                           }));
+        stream->async_write(asio::buffer(out), handler([this](ErrorCondition error, std::size_t) {
+                                sending = false;
+                                if (lost) return;
+                                // A server that refused us may have closed already: why is still to be read.
+                                if (error && !reading) return lose(ErrorCode::kIo, describeLoss(error));
+                                if (!error) send();
+                            }));
     }
 
     std::string describeLoss(ErrorCondition error) const {
@@ -187,7 +214,9 @@ struct StreamConnection::State : std::enable_shared_from_this<State> {
     void close() {
         timer.cancel();
         resolver.cancel();
-        beast::get_lowest_layer(stream).close();
+        ErrorCondition ignored;
+        socket.close(ignored);
+        if (stream) stream->next_layer().bytes().close();
     }
 
     const StreamAddress address;
@@ -197,7 +226,8 @@ struct StreamConnection::State : std::enable_shared_from_this<State> {
     bool ended = false;         // guarded by the gate: the owner is gone
     // The network thread's.
     tcp::resolver resolver;
-    websocket::stream<beast::tcp_stream> stream;
+    ByteStream::Socket socket;  // until it is connected
+    std::optional<websocket::stream<AnyStream, false>> stream;
     asio::steady_timer timer;  // of the delay, then of connecting
     websocket::response_type response;
     beast::flat_buffer in;

@@ -141,6 +141,7 @@ void Conversation::onOpen(const Open& open) {
     if (open.dataset().size() > kMaxDatasetNameBytes)
         return end(Failed::REASON_PROTOCOL, "the name of a dataset is over the limit of 1024 bytes");
     auto dataset = offer_->dataset(open.dataset());
+    open_failed_ = !dataset;
     if (!dataset) {
         Failed failed;
         failed.set_reason(Failed::REASON_NO_DATASET);
@@ -168,6 +169,15 @@ void Conversation::onOpen(const Open& open) {
 
 Conversation::OpenDataset* Conversation::datasetOf(std::uint32_t id, const char* message) {
     if (id != 0 && id <= datasets_.size()) return &datasets_[id - 1];
+    // Said right behind an Open that failed: the client could not know.
+    if (open_failed_ && id == datasets_.size() + 1) {
+        Failed failed;
+        failed.set_reason(Failed::REASON_NO_DATASET);
+        failed.set_message(fmt::format("{} names a dataset that could not be opened", message));
+        failed.set_dataset_id(id);
+        fail(failed);
+        return nullptr;
+    }
     end(Failed::REASON_PROTOCOL, fmt::format("{} names dataset {}, which is not open", message, id));
     return nullptr;
 }

@@ -110,6 +110,7 @@ private:
     const ConversationServices services_;
     bool greeted_ = false;
     bool over_ = false;
+    bool open_failed_ = false;  // the last Open
     std::uint32_t client_minor_ = 0;
     std::string client_name_, token_;
     std::shared_ptr<const AccessTokens> checked_;  // those that the token was found in

@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <sstream>
 
 #include "client/brick_source.h"
 #include "client/picture.h"
@@ -27,7 +28,7 @@ constexpr std::uint32_t kMaxSampleEdge = 16;
 
 struct RenderOptions {
     std::string source, output, size = "640x480", camera, scene, quality = "final", cache = "1G", max_bytes,
-                                token_file, explain;
+                                token_file, tls_ca, explain;
     std::string device = "cpu";
     std::optional<std::uint32_t> frame;
     std::optional<double> density_scale, max_error, deadline;
@@ -83,11 +84,13 @@ Result<QualitySettings> qualityOf(const RenderOptions& options) {
 
 Result<std::string> readToken(const std::string& file) {
     if (file.empty()) return std::string();
+    // The server's own file will do: a line each, the token first.
     std::ifstream in(file);
-    std::string token;
-    if (!in || !std::getline(in, token))
-        return fail(ErrorCode::kNotFound, fmt::format("--token-file {}: cannot be read, or is empty", file));
-    return token;
+    for (std::string line; std::getline(in, line);) {
+        std::istringstream words(line);
+        if (std::string token; words >> token && token.front() != '#') return token;
+    }
+    return fail(ErrorCode::kNotFound, fmt::format("--token-file {}: cannot be read, or is empty", file));
 }
 
 // The frame asked for, or the first there is.
@@ -233,8 +236,8 @@ Result<RenderOutcome> renderTo(const RenderOptions& options, RenderRequest reque
     if (!token) return tl::unexpected(token.error());
 
     const auto begin = std::chrono::steady_clock::now();
-    const Result<std::unique_ptr<BrickSource>> source =
-        openSource(options.source, *token, startHint(request, options.frame), timeoutsOf(request));
+    const Result<std::unique_ptr<BrickSource>> source = openSource(
+        options.source, {*token, options.tls_ca}, startHint(request, options.frame), timeoutsOf(request));
     if (!source) return tl::unexpected(source.error());
     if (request.deadline) *request.deadline -= std::chrono::steady_clock::now() - begin;
     const Result<std::uint32_t> frame = chooseFrame((*source)->manifest(), options);
@@ -338,7 +341,9 @@ void addRenderCommand(CLI::App& app, int& status) {
     command->add_option(
         "--repeat", options->repeats,
         "Trace a final picture N times more, all pages resident; seconds_render is their median");
-    command->add_option("--token-file", options->token_file, "First line is the server's token");
+    command->add_option("--token-file", options->token_file, "File whose first word is the server's token");
+    command->add_option("--tls-ca", options->tls_ca,
+                        "Of wss://: believe the certificates in this PEM file instead of this machine's");
     command->add_flag("--json", options->json, "One JSON object on stdout and nothing else");
     command->callback([options, &status] { status = runRender(*options); });
 }
