@@ -9,6 +9,7 @@
 #include <chrono>
 
 #include "server/http_session.h"
+#include "server/turn_away.h"
 #include "transport/plain_stream.h"
 #include "transport/tls_stream.h"
 
@@ -23,19 +24,6 @@ using ErrorCondition = boost::system::error_code;
 constexpr std::chrono::milliseconds kPauseAfterError{100};
 
 int openSpare() { return ::open("/dev/null", O_RDONLY | O_CLOEXEC); }
-
-template <class Socket>
-void turnAway(Socket socket) {
-    static constexpr std::string_view kFull =
-        "HTTP/1.1 503 Service Unavailable\r\nContent-Type: text/plain\r\nContent-Length: 53\r\nConnection: "
-        "close\r\n\r\n"
-        "all connections of this server are in use; try later\n";
-    ErrorCondition ignored;
-    // A fresh socket has room for this; if not, the peer learns it from the close.
-    socket.non_blocking(true, ignored);
-    socket.send(asio::buffer(kFull), 0, ignored);
-    socket.shutdown(tcp::socket::shutdown_send, ignored);
-}
 
 }  // namespace
 
@@ -113,9 +101,10 @@ void Listener::serve(ByteStream::Socket socket, IoThread& thread) {
     if (error) return;  // gone already
     auto slot = context_.connections.take(from.address());
     if (!slot) {
-        context_.metrics.connectionRefused(
-            context_.connections.count() >= context_.options.max_connections ? "full" : "address");
-        return turnAway(std::move(socket));
+        const bool full = context_.connections.count() >= context_.options.max_connections;
+        context_.metrics.connectionRefused(full ? "full" : "address");
+        return turnAway(std::move(socket), thread,
+                        full ? TurnedAwayFor::kServerFull : TurnedAwayFor::kAddressFull);
     }
     // Small answers must not wait for the peer's acknowledgement of the one before.
     socket.set_option(tcp::no_delay(true), error);
@@ -133,12 +122,11 @@ void Listener::onError(ErrorCondition error) {
     context_.log->warn("cannot accept a connection: {}", error.message());
     if (no_descriptor) {
         context_.metrics.connectionRefused("descriptors");
-        // Whoever waits in the queue is told, instead of being left there.
+        // Whoever waits in the queue learns that there is no place, instead of being left there.
         ::close(spare_descriptor_);
         ErrorCondition still;
         acceptor_.non_blocking(true, still);
-        auto socket = acceptor_.accept(still);
-        if (!still) turnAway(std::move(socket));
+        acceptor_.accept(still);  // and closes it
         spare_descriptor_ = openSpare();
     }
     pause_.expires_after(kPauseAfterError);
