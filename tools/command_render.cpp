@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <fstream>
 #include <nlohmann/json.hpp>
+#include <set>
 #include <sstream>
 
 #include "client/brick_source.h"
@@ -17,6 +18,7 @@
 #include "tools/command.h"
 #include "tools/progress_line.h"
 #include "tools/quality_preset.h"
+#include "tools/stop_signal.h"
 
 namespace brickyard {
 
@@ -31,7 +33,7 @@ struct RenderOptions {
                                 token_file, tls_ca, explain;
     std::string device = "cpu";
     std::optional<std::uint32_t> frame;
-    std::optional<double> density_scale, max_error, deadline;
+    std::optional<double> density_scale, max_error, deadline, follow;
     unsigned threads = 0, repeats = 0, samples = 1;
     bool strict = false, json = false;
 };
@@ -167,6 +169,21 @@ nlohmann::json toJson(const RenderOutcome& outcome) {
     };
 }
 
+// "frame.%04d.png" for frame 7 is "frame.0007.png"; a name without a place is itself.
+std::filesystem::path framePath(const std::string& pattern, std::uint32_t frame) {
+    const auto place = pattern.find('%');
+    const auto end = pattern.find('d', place);
+    if (place == std::string::npos || end == std::string::npos) return pattern;
+    std::size_t digits = 0;
+    for (const char c : pattern.substr(place + 1, end - place - 1)) {
+        if (c < '0' || c > '9' || digits > 20) return pattern;
+        digits = digits * 10 + std::size_t(c - '0');
+    }
+    std::string number = std::to_string(frame);
+    if (number.size() < digits) number.insert(0, digits - number.size(), '0');
+    return pattern.substr(0, place) + number + pattern.substr(end + 1);
+}
+
 // Everything that the options say by themselves. An error is wrong usage.
 Result<RenderRequest> requestOf(const RenderOptions& options) {
     RenderRequest request;
@@ -203,6 +220,13 @@ Result<RenderRequest> requestOf(const RenderOptions& options) {
         return fail(
             ErrorCode::kUnsupported,
             fmt::format("--device {}: this build renders on the CPU; use --device cpu", options.device));
+    if (options.follow && options.frame)
+        return fail(ErrorCode::kInvalid, "--follow draws all frames; leave --frame out");
+    if (options.follow && framePath(options.output, 0) == framePath(options.output, 1))
+        return fail(ErrorCode::kInvalid,
+                    fmt::format("-o {}: with --follow a name has a place for the frame's number, for example "
+                                "frame.%04d.png",
+                                options.output));
     request.threads = options.threads;
     request.repeats = options.repeats;
     request.explain = !options.explain.empty();
@@ -214,7 +238,86 @@ Result<RenderRequest> requestOf(const RenderOptions& options) {
     return request;
 }
 
-Result<RenderOutcome> renderTo(const RenderOptions& options, RenderRequest request) {
+// The picture of one frame, drawn and written.
+Result<RenderOutcome> drawFrame(BrickSource& source, const RenderOptions& options, RenderRequest request,
+                                const std::filesystem::path& output) {
+    ProgressLine line;
+    request.progress = [&](std::uint64_t done, std::uint64_t pixels, std::uint64_t bytes) {
+        line.show(fmt::format("{} of {} pixels final", done, pixels), double(done) / double(pixels), bytes);
+    };
+    Result<RenderOutcome> outcome = makeCpuRenderer()->render(source, request);
+    line.clear();
+    if (!outcome) return outcome;
+    if (request.explain)
+        if (Result<void> told = writeExplanation(outcome->picture.width, outcome->picture.height,
+                                                 outcome->why, options.explain);
+            !told)
+            return tl::unexpected(told.error());
+    if (options.samples > 1) {
+        const auto edge = std::uint32_t(std::lround(std::sqrt(options.samples)));
+        outcome->picture = boxFiltered(outcome->picture, edge);
+    }
+    const Result<void> written = output.extension() == ".exr"
+                                     ? writeExr(outcome->picture, output)
+                                     : writePng(outcome->picture, outcome->background, output);
+    if (!written) return tl::unexpected(written.error());
+    return outcome;
+}
+
+// Tells of one picture; gives the exit status.
+int report(const RenderOptions& options, const RenderOutcome& outcome, const std::filesystem::path& output) {
+    const nlohmann::json json = toJson(outcome);
+    if (options.json) {
+        fmt::print("{}\n", json.dump());
+    } else {
+        fmt::print(
+            "{}: {} x {}, {}; expected error {:.2g} (largest {:.2g}), at most {:.2g}; {:.2f} s, {} pages, "
+            "{:.2f} MB\n",
+            output.string(), outcome.picture.width, outcome.picture.height,
+            outcome.final ? "final" : "not final", json["mean_error_estimate"].get<double>(),
+            json["max_error_estimate"].get<double>(), json["max_error_bound"].get<double>(),
+            outcome.seconds_total, outcome.streamed.pages_streamed,
+            double(outcome.streamed.bytes_streamed) / 1e6);
+    }
+    std::fflush(stdout);
+    if (outcome.not_final.failed > 0)
+        return reportError(
+            "render", {ErrorCode::kCorrupt,
+                       fmt::format("{} pages could not be had and are drawn from coarser ones; first: {}",
+                                   outcome.not_final.failed, outcome.first_failure)});
+    return kExitDone;
+}
+
+// Draws every frame there is, and each that comes, until none has come for so long.
+Result<int> followFrames(BrickSource& source, const RenderOptions& options, const RenderRequest& request) {
+    const StopSignal stop;
+    int status = kExitDone;
+    std::set<std::uint32_t> drawn;
+    for (auto last_news = std::chrono::steady_clock::now();;) {
+        const std::shared_ptr<const Manifest> manifest = source.latestManifest();
+        for (const FrameEntry& entry : manifest->frames()) {
+            if (StopSignal::received() != 0) return status;
+            if (!drawn.insert(entry.frame()).second) continue;
+            RenderRequest one = request;
+            one.frame = entry.frame();
+            const auto output = framePath(options.output, entry.frame());
+            const Result<RenderOutcome> outcome = drawFrame(source, options, std::move(one), output);
+            if (!outcome) return tl::unexpected(outcome.error());
+            status = std::max(status, report(options, *outcome, output));
+            last_news = std::chrono::steady_clock::now();
+        }
+        const auto until = last_news + std::chrono::duration_cast<std::chrono::milliseconds>(
+                                           std::chrono::duration<double>(*options.follow));
+        const auto now = std::chrono::steady_clock::now();
+        if (now >= until || StopSignal::received() != 0) return status;
+        // Not longer at a time, so that Ctrl-C is noticed.
+        const auto news = source.waitForChange(std::min(until, now + std::chrono::milliseconds(200)));
+        if (!news) return tl::unexpected(news.error());
+    }
+}
+
+// Everything but what the options say by themselves. Gives the exit status.
+Result<int> render(const RenderOptions& options, RenderRequest request) {
     // Where the picture goes is checked before anything is drawn.
     const std::filesystem::path output(options.output);
     std::error_code ignored;
@@ -239,32 +342,14 @@ Result<RenderOutcome> renderTo(const RenderOptions& options, RenderRequest reque
     const Result<std::unique_ptr<BrickSource>> source = openSource(
         options.source, {*token, options.tls_ca}, startHint(request, options.frame), timeoutsOf(request));
     if (!source) return tl::unexpected(source.error());
+    if (options.follow) return followFrames(**source, options, request);
     if (request.deadline) *request.deadline -= std::chrono::steady_clock::now() - begin;
     const Result<std::uint32_t> frame = chooseFrame((*source)->manifest(), options);
     if (!frame) return tl::unexpected(frame.error());
     request.frame = *frame;
-
-    ProgressLine line;
-    request.progress = [&](std::uint64_t done, std::uint64_t pixels, std::uint64_t bytes) {
-        line.show(fmt::format("{} of {} pixels final", done, pixels), double(done) / double(pixels), bytes);
-    };
-    Result<RenderOutcome> outcome = makeCpuRenderer()->render(**source, request);
-    line.clear();
-    if (!outcome) return outcome;
-    if (request.explain)
-        if (Result<void> told = writeExplanation(outcome->picture.width, outcome->picture.height,
-                                                 outcome->why, options.explain);
-            !told)
-            return tl::unexpected(told.error());
-    if (options.samples > 1) {
-        const auto edge = std::uint32_t(std::lround(std::sqrt(options.samples)));
-        outcome->picture = boxFiltered(outcome->picture, edge);
-    }
-    const Result<void> written = output.extension() == ".exr"
-                                     ? writeExr(outcome->picture, output)
-                                     : writePng(outcome->picture, outcome->background, output);
-    if (!written) return tl::unexpected(written.error());
-    return outcome;
+    const Result<RenderOutcome> outcome = drawFrame(**source, options, std::move(request), output);
+    if (!outcome) return tl::unexpected(outcome.error());
+    return report(options, *outcome, output);
 }
 
 int runRender(const RenderOptions& options) {
@@ -273,41 +358,29 @@ int runRender(const RenderOptions& options) {
         reportError("render", request.error());
         return kExitUsage;
     }
-    const Result<RenderOutcome> outcome = renderTo(options, std::move(*request));
-    if (!outcome) return reportError("render", outcome.error());
-    const nlohmann::json json = toJson(*outcome);
-    if (options.json) {
-        fmt::print("{}\n", json.dump());
-    } else {
-        fmt::print(
-            "{}: {} x {}, {}; expected error {:.2g} (largest {:.2g}), at most {:.2g}; {:.2f} s, {} pages, "
-            "{:.2f} MB\n",
-            options.output, outcome->picture.width, outcome->picture.height,
-            outcome->final ? "final" : "not final", json["mean_error_estimate"].get<double>(),
-            json["max_error_estimate"].get<double>(), json["max_error_bound"].get<double>(),
-            outcome->seconds_total, outcome->streamed.pages_streamed,
-            double(outcome->streamed.bytes_streamed) / 1e6);
-    }
-    if (outcome->not_final.failed > 0)
-        return reportError(
-            "render", {ErrorCode::kCorrupt,
-                       fmt::format("{} pages could not be had and are drawn from coarser ones; first: {}",
-                                   outcome->not_final.failed, outcome->first_failure)});
-    return kExitDone;
+    const Result<int> status = render(options, std::move(*request));
+    return status ? *status : reportError("render", status.error());
 }
 
 }  // namespace
 
 void addRenderCommand(CLI::App& app, int& status) {
     auto options = std::make_shared<RenderOptions>();
-    CLI::App* command =
-        app.add_subcommand("render", "Draw a picture of a dataset folder or of ws://HOST:PORT/NAME");
+    CLI::App* command = app.add_subcommand(
+        "render",
+        "Draw a picture of a dataset folder or of a server's: ws://HOST:PORT/NAME, or wss:// for TLS");
     command->add_option("SOURCE", options->source, "Dataset folder, or ws://HOST:PORT/NAME")->required();
     command
         ->add_option("-o,--output", options->output,
                      "OUT.png (sRGB over the background) or OUT.exr (linear, with Z and error layers)")
         ->required();
     command->add_option("--frame", options->frame, "Frame number; the first there is");
+    command
+        ->add_option(
+            "--follow", options->follow,
+            "Draw every frame there is and each that comes, until none has come for so many seconds; the "
+            "output's name has a place for the number, %04d")
+        ->check(CLI::Range(0.1, 1e6));
     command->add_option("--size", options->size, "WIDTHxHEIGHT in pixels")->capture_default_str();
     command->add_option("--camera", options->camera,
                         "File or JSON: eye, target, up, vertical_fov_degrees; without one all is framed");
