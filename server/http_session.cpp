@@ -181,7 +181,7 @@ private:
                               });
         if (reply) return write(std::move(*reply));
         expireNever();  // the disk takes as long as it takes
-        asio::post(context_.workers, [self = shared_from_this()] { self->answer(ReadMode::kMayBlock); });
+        asio::post(context_.workers(), [self = shared_from_this()] { self->answer(ReadMode::kMayBlock); });
     }
 
     void upgrade() {

@@ -55,7 +55,7 @@ struct Server::State {
         timer->expires_after(context.options.rescan);
         timer->async_wait([this](boost::system::error_code error) {
             if (error) return;
-            asio::post(context.workers, [this] {
+            asio::post(context.workers(), [this] {
                 const auto changes = context.catalog->refresh();
                 for (const std::string& warning : changes.warnings) context.log->warn("{}", warning);
                 for (const std::string& name : changes.datasets)
@@ -120,8 +120,9 @@ void Server::stop() {
     context.connections.waitUntilEmpty(context.options.drain_timeout);
     // Workers post to the threads, and threads to the workers: both must end before either's queue goes.
     for (auto& thread : state_->threads) thread->stop();
-    context.workers.stop();
-    context.workers.join();
+    context.pool->stop();
+    context.pool->join();
+    context.pool.reset();
 }
 
 }  // namespace brickyard

@@ -50,7 +50,7 @@ struct ServerContext {
           connections(options.max_connections, options.max_connections_per_address),
           batches(options.queue_bytes),
           wishes(options.wish_bytes),
-          workers(options.disk_threads) {}
+          pool(std::make_unique<boost::asio::thread_pool>(options.disk_threads)) {}
 
     const std::unique_ptr<Catalog> catalog;
     const ServerOptions options;
@@ -63,7 +63,10 @@ struct ServerContext {
     ByteBudget wishes;
     std::atomic<std::uint64_t> next_id{1};  // of connections and requests, for the log
     // For what may wait for the disk, or takes long.
-    boost::asio::thread_pool workers;
+    boost::asio::thread_pool& workers() { return *pool; }
+    // Ends with the server, before its event loops: what waits in it holds sessions, and those hold on to
+    // their loop.
+    std::unique_ptr<boost::asio::thread_pool> pool;
 };
 
 }  // namespace brickyard

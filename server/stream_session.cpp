@@ -185,7 +185,7 @@ private:
         const bool news = std::exchange(news_, false);
         if (!batch && !lane().writing() && !awaiting_memory_)
             batch = OutBatch(context_.batches.take());  // saves the way back and forth, where there is memory
-        asio::post(context_.workers,
+        asio::post(context_.workers(),
                    [self = shared_from_this(), messages = std::move(messages), news,
                     batch = std::move(batch)]() mutable { self->workOn(messages, news, std::move(batch)); });
     }
