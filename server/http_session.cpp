@@ -25,7 +25,7 @@ using ErrorCondition = boost::system::error_code;
 
 constexpr std::uint32_t kMaxRequestHeaderBytes = 16u << 10;
 constexpr std::uint64_t kMaxRequestBodyBytes = 1u << 10;  // of a GET: read and ignored
-constexpr std::size_t kMaxRequestIdBytes = 128, kReadBytes = 4u << 10;
+constexpr std::size_t kMaxRequestIdBytes = 128, kReadBytes = 4u << 10, kMaxLoggedBytes = 512;
 
 std::string_view viewOf(beast::string_view text) { return {text.data(), text.size()}; }
 
@@ -72,15 +72,15 @@ public:
         });
         services_.metrics = [&context = context_] { return metricsText(context); };
         expireAfter(context_.options.handshake_timeout);
-        stream_.bytes().asyncHandshake(
-            OnceHandler([self = shared_from_this()](ErrorCondition error, std::size_t) {
-                if (error) {
-                    self->context_.log->info("a TLS handshake failed: {}", error.message());
-                    self->context_.metrics.error("refused");
-                    return self->stream_.bytes().close();
-                }
-                self->read();
-            }));
+        stream_.bytes().asyncHandshake(OnceHandler([self = shared_from_this()](ErrorCondition error,
+                                                                               std::size_t) {
+            if (error) {
+                self->context_.log.write(LogLevel::info, "TLS handshake failed", {{"why", error.message()}});
+                self->context_.metrics.error("refused");
+                return self->stream_.bytes().close();
+            }
+            self->read();
+        }));
     }
 
 private:
@@ -232,9 +232,12 @@ private:
 
         sent_bytes_ = head_only || reply_.status == 304 ? 0 : body_bytes;
         expireAfter(context_.options.idle_timeout);
-        if (context_.log->should_log(spdlog::level::debug))
-            context_.log->debug("request={} {} {} {} {} bytes", id, viewOf(message.method_string()),
-                                printable(viewOf(message.target())), reply_.status, sent_bytes_);
+        context_.log.write(LogLevel::debug, "request",
+                           {{"id", id},
+                            {"method", viewOf(message.method_string())},
+                            {"target", viewOf(message.target()).substr(0, kMaxLoggedBytes)},
+                            {"status", std::uint64_t(reply_.status)},
+                            {"bytes", std::uint64_t(sent_bytes_)}});
         writeRest(asio::buffer(head_), reply_.page ? asio::const_buffer(reply_.page.data(), sent_bytes_)
                                                    : asio::const_buffer(reply_.body.data(), sent_bytes_));
     }
@@ -265,12 +268,6 @@ private:
         if (!keep_alive_) return shutdown();
         expireAfter(context_.options.idle_timeout);
         read();
-    }
-
-    static std::string printable(std::string_view text) {
-        std::string clean;
-        for (const char c : text.substr(0, 512)) clean += c > ' ' && c <= '~' ? c : '?';
-        return clean;
     }
 
     // The server stops: what is being answered is answered.

@@ -57,18 +57,19 @@ Result<std::uint16_t> Listener::open() {
         return fail(ErrorCode::kIo,
                     fmt::format("cannot listen on {}:{}: {}; choose another address with --listen",
                                 options.host, options.port, error.message()));
+    const std::uint16_t port = acceptor_.local_endpoint().port();
     if (!endpoint.address().is_loopback() && !context_.tokens.get()->required())
-        context_.log->critical(
-            "ANYBODY who reaches {}:{} can read every dataset: this is not the loopback address, and no "
-            "token is asked "
-            "for; give --token-file, or listen on 127.0.0.1",
-            options.host, acceptor_.local_endpoint().port());
+        context_.log.write(
+            LogLevel::critical,
+            "ANYBODY who reaches this address can read every dataset: it is not the loopback, and no "
+            "token is asked for; give --token-file, or listen on 127.0.0.1",
+            {{"host", options.host}, {"port", std::uint64_t(port)}});
     if (!endpoint.address().is_loopback() && !context_.tls.get())
-        context_.log->warn(
-            "tokens and data cross the network in the clear; give --tls-cert and --tls-key, or put a proxy "
-            "that "
-            "encrypts in front");
-    return acceptor_.local_endpoint().port();
+        context_.log.write(
+            LogLevel::warn,
+            "tokens and data cross the network in the clear; give --tls-cert and --tls-key, or put "
+            "a proxy that encrypts in front");
+    return port;
 }
 
 void Listener::start() {
@@ -119,7 +120,7 @@ void Listener::serve(ByteStream::Socket socket, IoThread& thread) {
 
 void Listener::onError(ErrorCondition error) {
     const bool no_descriptor = error == asio::error::no_descriptors || error.value() == ENFILE;
-    context_.log->warn("cannot accept a connection: {}", error.message());
+    context_.log.write(LogLevel::warn, "cannot accept a connection", {{"why", error.message()}});
     if (no_descriptor) {
         context_.metrics.connectionRefused("descriptors");
         // Whoever waits in the queue learns that there is no place, instead of being left there.

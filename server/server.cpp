@@ -1,7 +1,5 @@
 #include "server/server.h"
 
-#include <spdlog/spdlog.h>
-
 #include <algorithm>
 #include <boost/asio/post.hpp>
 #include <thread>
@@ -9,7 +7,6 @@
 
 #include "server/io_threads.h"
 #include "server/listener.h"
-#include "server/server_log.h"
 
 namespace brickyard {
 namespace {
@@ -41,12 +38,11 @@ std::chrono::milliseconds tickOf(const ServerOptions& options) {
 struct Server::State {
     State(std::unique_ptr<Catalog> catalog, const ServerOptions& options,
           std::shared_ptr<const AccessTokens> tokens, TlsContext tls)
-        : context(std::move(catalog), options, std::move(tokens), std::move(tls), makeServerLog(options)) {
+        : context(std::move(catalog), options, std::move(tokens), std::move(tls)) {
         for (std::size_t i = 0; i < std::max<std::size_t>(options.threads, 1); ++i)
-            threads.push_back(
-                std::make_unique<IoThread>(tickOf(options), [log = context.log](const std::string& what) {
-                    log->error("a connection ended by an exception: {}", what);
-                }));
+            threads.push_back(std::make_unique<IoThread>(tickOf(options), [this](const std::string& what) {
+                context.log.write(LogLevel::err, "connection failed", {{"exception", what}});
+            }));
         timer.emplace(threads.front()->io());
     }
 
@@ -57,9 +53,10 @@ struct Server::State {
             if (error) return;
             asio::post(context.workers(), [this] {
                 const auto changes = context.catalog->refresh();
-                for (const std::string& warning : changes.warnings) context.log->warn("{}", warning);
+                for (const std::string& warning : changes.warnings)
+                    context.log.write(LogLevel::warn, "dataset not served", {{"why", warning}});
                 for (const std::string& name : changes.datasets)
-                    context.log->info("dataset {:?} changed", name);
+                    context.log.write(LogLevel::info, "dataset changed", {{"name", name}});
                 if (changes.names || !changes.datasets.empty()) context.connections.tellNews();
                 asio::post(threads.front()->io(), [this] { watchFolders(); });
             });
@@ -107,7 +104,7 @@ Result<void> Server::reload() {
     context.tokens.set(std::move(*tokens));
     context.tls.set(std::move(*tls));
     context.connections.tellNews();
-    context.log->info("certificate, key and tokens were read again");
+    context.log.write(LogLevel::info, "certificate, key and tokens read again");
     return {};
 }
 

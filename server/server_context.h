@@ -1,8 +1,6 @@
 // What every connection of a server shares. Outlives them all. Any thread.
 #pragma once
 
-#include <spdlog/logger.h>
-
 #include <atomic>
 #include <boost/asio/thread_pool.hpp>
 #include <memory>
@@ -14,6 +12,7 @@
 #include "server/catalog.h"
 #include "server/connection_list.h"
 #include "server/metrics.h"
+#include "server/server_log.h"
 #include "server/server_options.h"
 #include "transport/tls_context.h"
 
@@ -40,11 +39,10 @@ private:
 
 struct ServerContext {
     ServerContext(std::unique_ptr<Catalog> the_catalog, ServerOptions the_options,
-                  std::shared_ptr<const AccessTokens> the_tokens, TlsContext the_tls,
-                  std::shared_ptr<spdlog::logger> the_log)
+                  std::shared_ptr<const AccessTokens> the_tokens, TlsContext the_tls)
         : catalog(std::move(the_catalog)),
           options(std::move(the_options)),
-          log(std::move(the_log)),
+          log(options),
           tokens(std::move(the_tokens)),
           tls(std::move(the_tls)),
           connections(options.max_connections, options.max_connections_per_address),
@@ -54,7 +52,7 @@ struct ServerContext {
 
     const std::unique_ptr<Catalog> catalog;
     const ServerOptions options;
-    const std::shared_ptr<spdlog::logger> log;
+    const ServerLog log;
     Current<std::shared_ptr<const AccessTokens>> tokens;
     Current<TlsContext> tls;  // empty: in the clear
     Metrics metrics;

@@ -48,8 +48,9 @@ public:
 
     ~StreamSession() override {
         context_.metrics.connectionClosed(Via::kStream);
-        context_.log->info("stream={} client={:?} ended: {} bytes sent{}", id_, talk_.clientName(),
-                           lane().sentBytes(), why_.empty() ? "" : "; " + why_);
+        context_.log.write(
+            LogLevel::info, "stream ended",
+            {{"id", id_}, {"client", talk_.clientName()}, {"bytes", lane().sentBytes()}, {"why", why_}});
     }
 
     void start() {
@@ -84,8 +85,8 @@ public:
             self->accepted_ = true;
             if (self->closing_) return;
             if (error) return self->drop("its handshake failed");
-            self->context_.log->info("stream={} opened{}", self->id_,
-                                     self->lane().bytes().encryption().empty() ? "" : " under TLS");
+            self->context_.log.write(LogLevel::info, "stream opened",
+                                     {{"id", self->id_}, {"tls", self->lane().bytes().encryption()}});
             self->read();
         });
     }
