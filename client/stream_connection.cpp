@@ -93,17 +93,22 @@ struct StreamConnection::State : std::enable_shared_from_this<State> {
     }
 
     void connect(const tcp::resolver::results_type& found) {
+        auto connected = handler([this](ErrorCondition error, const tcp::endpoint&) {
+            if (lost) return;
+            if (error) {
+                const auto code =
+                    error == asio::error::connection_refused ? ErrorCode::kRefused : ErrorCode::kIo;
+                return lose(code, fmt::format("cannot connect: {}; is `brickyard serve` running there?",
+                                              error.message()));
+            }
+            encrypt();
+        });
+        // Types in full: Asio would try a generic handler with others.
         asio::async_connect(
-            socket, found, handler([this](ErrorCondition error, const tcp::endpoint&) {
-                if (lost) return;
-                if (error) {
-                    const auto code =
-                        error == asio::error::connection_refused ? ErrorCode::kRefused : ErrorCode::kIo;
-                    return lose(code, fmt::format("cannot connect: {}; is `brickyard serve` running there?",
-                                                  error.message()));
-                }
-                encrypt();
-            }));
+            socket, found,
+            [connected = std::move(connected)](ErrorCondition error, const tcp::endpoint& at) mutable {
+                connected(error, at);
+            });
     }
 
     void encrypt() {

@@ -83,12 +83,15 @@ CameraView resolveStartView(const StartView& view, const FrameFooter& footer) {
     seen.width = view.width;
     seen.height = view.height;
     seen.pixels_per_voxel = view.pixels_per_voxel;
+    const auto see = [&](std::uint32_t channel) {
+        if (std::find(seen.channels.begin(), seen.channels.end(), channel) == seen.channels.end())
+            seen.channels.push_back(channel);
+    };
     for (const std::string& name : view.channels) {
-        std::optional<std::uint32_t> index = name.empty() ? defaultDensity(footer) : std::nullopt;
-        for (int i = 0; i < footer.channels_size() && !index; ++i)
-            if (!name.empty() && footer.channels(i).name() == name) index = std::uint32_t(i);
-        if (index && std::find(seen.channels.begin(), seen.channels.end(), *index) == seen.channels.end())
-            seen.channels.push_back(*index);
+        if (name.empty())
+            if (const auto density = defaultDensity(footer)) see(*density);
+        for (int i = 0; i < footer.channels_size() && !name.empty(); ++i)
+            if (footer.channels(i).name() == name) see(std::uint32_t(i));
     }
     if (view.camera)
         seen.camera = *view.camera;

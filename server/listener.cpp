@@ -87,13 +87,13 @@ void Listener::stop() {
 void Listener::accept() {
     if (!acceptor_.is_open()) return;
     IoThread& thread = *threads_[next_thread_++ % threads_.size()];
-    acceptor_.async_accept(thread.io(),
-                           [self = shared_from_this(), &thread](ErrorCondition error, auto socket) {
-                               if (error == asio::error::operation_aborted) return;
-                               if (error) return self->onError(error);
-                               self->serve(std::move(socket), thread);
-                               self->accept();
-                           });
+    const auto socket = std::make_shared<ByteStream::Socket>(thread.io());
+    acceptor_.async_accept(*socket, [self = shared_from_this(), &thread, socket](ErrorCondition error) {
+        if (error == asio::error::operation_aborted) return;
+        if (error) return self->onError(error);
+        self->serve(std::move(*socket), thread);
+        self->accept();
+    });
 }
 
 void Listener::serve(ByteStream::Socket socket, IoThread& thread) {
