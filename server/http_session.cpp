@@ -277,9 +277,24 @@ private:
     }
 
     void shutdown() {
+        idle_ = false;
+        leaving_ = true;
         expireAfter(context_.options.drain_timeout);
         stream_.bytes().asyncShutdown(
-            OnceHandler([self = shared_from_this()](ErrorCondition, std::size_t) {}));
+            OnceHandler([self = shared_from_this()](ErrorCondition error, std::size_t) {
+                if (!error) self->linger();
+            }));
+    }
+
+    // Until the peer closes as well, or its time is up: a connection that is closed while something of the
+    // peer's is unread is reset, and the answer may be lost in that.
+    void linger() {
+        buffer_.clear();
+        stream_.bytes().asyncReadSome(
+            buffer_.prepare(kReadBytes),
+            OnceHandler([self = shared_from_this()](ErrorCondition error, std::size_t) {
+                if (!error) self->linger();
+            }));
     }
 
     void onDeadline() override {
