@@ -212,6 +212,31 @@ TEST_F(BenchTest, CodecsAreComparedAtErrorsThatTheyKeep) {
     EXPECT_EQ(codec["summary"].size(), 15u);
 }
 
+#ifdef BRICKYARD_WITH_SERVER
+void expectSoundServer(const nlohmann::json& server) {
+    EXPECT_EQ(server.value("errors", -1), 0) << server;
+    EXPECT_EQ(server.value("refused", -1), 0) << server;
+    expectAboveZero(server, "resident_bytes");
+    expectAboveZero(server, "peak_bytes");
+}
+
+TEST_F(BenchTest, ViewersAreServedAlsoBesideIdleConnections) {
+    const nlohmann::json viewers = figures("viewers --viewers 4 --seconds 1.5 --idle 30");
+    const nlohmann::json& streaming = viewers["streaming"];
+    EXPECT_EQ(streaming.value("errors", -1), 0) << streaming;
+    expectAboveZero(streaming, "pages");
+    expectAboveZero(streaming["cold_first_page_ms"], "p99");
+    expectSoundServer(streaming["server"]);
+    const nlohmann::json& idle = viewers["idle"];
+    EXPECT_EQ(idle.value("connections", -1), 30);
+    EXPECT_EQ(idle.value("alive_at_the_end", -1), 30);
+    EXPECT_TRUE(idle.value("memory_holds", false));
+    EXPECT_EQ(idle["viewers_beside"].value("errors", -1), 0) << idle;
+    expectAboveZero(idle["viewers_beside"], "pages");
+    expectSoundServer(idle["server"]);
+}
+#endif
+
 TEST_F(BenchTest, RefusesWhatIsNotThereInOneLine) {
     EXPECT_EQ(bench("nonsense"), 2);
     EXPECT_THAT(err_, HasSubstr("--help"));
