@@ -235,6 +235,25 @@ TEST_F(BenchTest, ViewersAreServedAlsoBesideIdleConnections) {
     expectAboveZero(idle["viewers_beside"], "pages");
     expectSoundServer(idle["server"]);
 }
+
+TEST_F(BenchTest, TheFirstPictureTakesFewerRoundTripsWhereTheServerFindsThePages) {
+    const nlohmann::json picture = figures("first-picture --delay-ms 20 --mbit 100");
+    ASSERT_EQ(picture["networks"].size(), 2u);
+    for (const auto& network : picture["networks"]) {
+        EXPECT_GE(network["round_trip_ms_measured"].get<double>(), network["round_trip_ms"].get<double>());
+        ASSERT_EQ(network["runs"].size(), 18u);  // three views, six clients
+        for (const auto& run : network["runs"]) {
+            expectAboveZero(run["first_picture"], "seconds");
+            const std::string client = run["client"];
+            if (client == "camera wish" || client.starts_with("overview")) {
+                EXPECT_EQ(run["first_picture"]["round_trips"], 1) << run;
+            } else {
+                EXPECT_GE(run["first_picture"]["round_trips"], 3) << run;
+            }
+        }
+    }
+    expectSoundServer(picture["server"]);
+}
 #endif
 
 TEST_F(BenchTest, RefusesWhatIsNotThereInOneLine) {

@@ -45,5 +45,6 @@ Result<nlohmann::json> benchConvert(const BenchOptions& options);
 Result<nlohmann::json> benchCodec(const BenchOptions& options);
 // These have a server.
 Result<nlohmann::json> benchViewers(const BenchOptions& options);
+Result<nlohmann::json> benchFirstPicture(const BenchOptions& options);
 
 }  // namespace brickyard

@@ -37,6 +37,8 @@ constexpr Benchmark kBenchmarks[] = {
     {"codec", "bytes and speed of the brick codec, beside zfp, Blosc and zstd at equal error", benchCodec},
 #ifdef BRICKYARD_WITH_SERVER
     {"viewers", "a server with many viewers, and with many connections that do nothing", benchViewers, true},
+    {"first-picture", "seconds to a picture over a far network, beside a client that finds its own pages",
+     benchFirstPicture, true},
 #endif
 };
 
@@ -179,6 +181,8 @@ void addBenchCommand(CLI::App& app, int& status) {
     number("--idle", passed.idle, 0, 1'000'000, "Of viewers: connections that do nothing");
     number("--seconds", passed.seconds, 0.2, 86'400,
            "Of viewers: how long; each part of fairness has a sixth");
+    number("--delay-ms", passed.delay_ms, 0, 10'000, "Of first-picture: a round trip, half of it each way");
+    number("--mbit", passed.mbit, 0.1, 10'000, "Of first-picture and fairness: a slow network's Mbit/s");
 #endif
     command->add_flag("--json", arguments->json, "One JSON object on stdout and nothing else");
     command->footer(footer +
