@@ -254,6 +254,20 @@ TEST_F(BenchTest, TheFirstPictureTakesFewerRoundTripsWhereTheServerFindsThePages
     }
     expectSoundServer(picture["server"]);
 }
+
+TEST_F(BenchTest, NobodyStarvesBesideAGreedyClientAndAReplacedWishEnds) {
+    const nlohmann::json fairness = figures("fairness --normal 5 --seconds 3 --mbit 50");
+    for (const char* phase : {"alone", "busy", "greedy", "flood", "alone_again"}) {
+        const nlohmann::json& figure = fairness["shares"][phase];
+        EXPECT_EQ(figure.value("errors", -1), 0) << phase << " " << figure;
+        expectAboveZero(figure, "pages");
+        expectSoundServer(figure["server"]);
+    }
+    for (const char* greed : {"greedy", "flood"})
+        expectAboveZero(fairness["shares"][greed], "greedy_wishes_per_second");
+    for (const char* reader : {"reads_slowly", "slow_network"})
+        expectAboveZero(fairness["current"][reader]["first_new_ms"], "p50");
+}
 #endif
 
 TEST_F(BenchTest, RefusesWhatIsNotThereInOneLine) {

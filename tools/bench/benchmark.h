@@ -46,5 +46,6 @@ Result<nlohmann::json> benchCodec(const BenchOptions& options);
 // These have a server.
 Result<nlohmann::json> benchViewers(const BenchOptions& options);
 Result<nlohmann::json> benchFirstPicture(const BenchOptions& options);
+Result<nlohmann::json> benchFairness(const BenchOptions& options);
 
 }  // namespace brickyard

@@ -39,6 +39,8 @@ constexpr Benchmark kBenchmarks[] = {
     {"viewers", "a server with many viewers, and with many connections that do nothing", benchViewers, true},
     {"first-picture", "seconds to a picture over a far network, beside a client that finds its own pages",
      benchFirstPicture, true},
+    {"fairness", "viewers beside a greedy client; what a slow one gets of a wish that is replaced",
+     benchFairness, true},
 #endif
 };
 
@@ -181,6 +183,7 @@ void addBenchCommand(CLI::App& app, int& status) {
     number("--idle", passed.idle, 0, 1'000'000, "Of viewers: connections that do nothing");
     number("--seconds", passed.seconds, 0.2, 86'400,
            "Of viewers: how long; each part of fairness has a sixth");
+    number("--normal", passed.normal, 1, 10'000, "Of fairness: viewers beside the greedy client");
     number("--delay-ms", passed.delay_ms, 0, 10'000, "Of first-picture: a round trip, half of it each way");
     number("--mbit", passed.mbit, 0.1, 10'000, "Of first-picture and fairness: a slow network's Mbit/s");
 #endif
