@@ -212,6 +212,64 @@ TEST_F(BenchTest, CodecsAreComparedAtErrorsThatTheyKeep) {
     EXPECT_EQ(codec["summary"].size(), 15u);
 }
 
+#ifdef BRICKYARD_WITH_SERVER
+void expectSoundServer(const nlohmann::json& server) {
+    EXPECT_EQ(server.value("errors", -1), 0) << server;
+    EXPECT_EQ(server.value("refused", -1), 0) << server;
+    expectAboveZero(server, "resident_bytes");
+    expectAboveZero(server, "peak_bytes");
+}
+
+TEST_F(BenchTest, ViewersAreServedAlsoBesideIdleConnections) {
+    const nlohmann::json viewers = figures("viewers --viewers 4 --seconds 1.5 --idle 30");
+    const nlohmann::json& streaming = viewers["streaming"];
+    EXPECT_EQ(streaming.value("errors", -1), 0) << streaming;
+    expectAboveZero(streaming, "pages");
+    expectAboveZero(streaming["cold_first_page_ms"], "p99");
+    expectSoundServer(streaming["server"]);
+    const nlohmann::json& idle = viewers["idle"];
+    EXPECT_EQ(idle.value("connections", -1), 30);
+    EXPECT_EQ(idle.value("alive_at_the_end", -1), 30);
+    EXPECT_TRUE(idle.value("memory_holds", false));
+    EXPECT_EQ(idle["viewers_beside"].value("errors", -1), 0) << idle;
+    expectAboveZero(idle["viewers_beside"], "pages");
+    expectSoundServer(idle["server"]);
+}
+
+TEST_F(BenchTest, TheFirstPictureTakesFewerRoundTripsWhereTheServerFindsThePages) {
+    const nlohmann::json picture = figures("first-picture --delay-ms 20 --mbit 100");
+    ASSERT_EQ(picture["networks"].size(), 2u);
+    for (const auto& network : picture["networks"]) {
+        EXPECT_GE(network["round_trip_ms_measured"].get<double>(), network["round_trip_ms"].get<double>());
+        ASSERT_EQ(network["runs"].size(), 18u);  // three views, six clients
+        for (const auto& run : network["runs"]) {
+            expectAboveZero(run["first_picture"], "seconds");
+            const std::string client = run["client"];
+            if (client == "camera wish" || client.starts_with("overview")) {
+                EXPECT_EQ(run["first_picture"]["round_trips"], 1) << run;
+            } else {
+                EXPECT_GE(run["first_picture"]["round_trips"], 3) << run;
+            }
+        }
+    }
+    expectSoundServer(picture["server"]);
+}
+
+TEST_F(BenchTest, NobodyStarvesBesideAGreedyClientAndAReplacedWishEnds) {
+    const nlohmann::json fairness = figures("fairness --normal 5 --seconds 3 --mbit 50");
+    for (const char* phase : {"alone", "busy", "greedy", "flood", "alone_again"}) {
+        const nlohmann::json& figure = fairness["shares"][phase];
+        EXPECT_EQ(figure.value("errors", -1), 0) << phase << " " << figure;
+        expectAboveZero(figure, "pages");
+        expectSoundServer(figure["server"]);
+    }
+    for (const char* greed : {"greedy", "flood"})
+        expectAboveZero(fairness["shares"][greed], "greedy_wishes_per_second");
+    for (const char* reader : {"reads_slowly", "slow_network"})
+        expectAboveZero(fairness["current"][reader]["first_new_ms"], "p50");
+}
+#endif
+
 TEST_F(BenchTest, RefusesWhatIsNotThereInOneLine) {
     EXPECT_EQ(bench("nonsense"), 2);
     EXPECT_THAT(err_, HasSubstr("--help"));

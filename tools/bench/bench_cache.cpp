@@ -29,7 +29,7 @@ const BenchCache kSurfaceCaches[] = {
 };
 
 // "plume.0030" and "plume.0024" are one sequence.
-std::string sequenceOf(const std::filesystem::path& file) {
+std::string sequenceName(const std::filesystem::path& file) {
     std::string stem = file.stem().string();
     stem.erase(stem.find_last_not_of("0123456789") + 1);
     return stem;
@@ -72,13 +72,23 @@ Result<std::vector<BenchCache>> findCaches(const std::filesystem::path& data) {
     std::map<std::string, std::filesystem::path> last;
     for (const auto& entry : std::filesystem::directory_iterator(data, error))
         if (entry.path().extension() == ".vdb")
-            last[sequenceOf(entry.path())] = std::max(last[sequenceOf(entry.path())], entry.path());
+            last[sequenceName(entry.path())] = std::max(last[sequenceName(entry.path())], entry.path());
     for (const auto& [name, file] : last)
         if (caches.size() < kMaxOtherCaches) caches.push_back({file.stem().string(), file, "density"});
     if (caches.empty())
         return fail(ErrorCode::kNotFound,
                     fmt::format("--data {}: holds no .vdb files; name a folder that does", data.string()));
     return caches;
+}
+
+std::vector<std::filesystem::path> sequenceOf(const BenchCache& cache) {
+    std::vector<std::filesystem::path> files;
+    std::error_code error;
+    for (const auto& entry : std::filesystem::directory_iterator(cache.file.parent_path(), error))
+        if (entry.path().extension() == ".vdb" && sequenceName(entry.path()) == sequenceName(cache.file))
+            files.push_back(entry.path());
+    std::sort(files.begin(), files.end());
+    return files;
 }
 
 Result<BenchDataset> convertCache(const BenchCache& cache, const std::filesystem::path& folder,

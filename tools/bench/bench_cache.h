@@ -27,6 +27,9 @@ Result<std::vector<BenchCache>> findCaches(const std::filesystem::path& data);
 // The same and those that have no density to draw. Errors: the same.
 Result<std::vector<BenchCache>> findAllCaches(const std::filesystem::path& data);
 
+// The files of the sequence that the cache is the last frame of, in order.
+std::vector<std::filesystem::path> sequenceOf(const BenchCache& cache);
+
 // A cache as a dataset, with the footer of its only frame.
 struct BenchDataset {
     std::filesystem::path folder;

@@ -22,6 +22,12 @@ struct BenchOptions {
     std::uint32_t size = 512;       // pictures are size x size pixels, a raw dump has size^3 voxels
     unsigned repeats = 5;           // of each timed run, interleaved with its peers; at least 1
     int brick_edge = 16;            // cells along each edge of the bricks that a codec is given
+    // Of a server's clients: how many stream, for how long, and how many connections do nothing.
+    std::size_t viewers = 1000, idle = 10'000;
+    double seconds = 60;
+    std::size_t normal = 50;  // viewers beside a greedy client
+    // Of a far network: a round trip, and the bandwidth each way.
+    double delay_ms = 100, mbit = 20;
     // Takes lines for a person: tables and verdicts, on stdout. Does nothing under --json.
     std::function<void(const std::string& text)> print;
     // Takes one line on what is being done now, for stderr where that is a terminal.
@@ -37,5 +43,9 @@ Result<nlohmann::json> benchStream(const BenchOptions& options);
 Result<nlohmann::json> benchFly(const BenchOptions& options);
 Result<nlohmann::json> benchConvert(const BenchOptions& options);
 Result<nlohmann::json> benchCodec(const BenchOptions& options);
+// These have a server.
+Result<nlohmann::json> benchViewers(const BenchOptions& options);
+Result<nlohmann::json> benchFirstPicture(const BenchOptions& options);
+Result<nlohmann::json> benchFairness(const BenchOptions& options);
 
 }  // namespace brickyard

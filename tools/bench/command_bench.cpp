@@ -24,6 +24,7 @@ struct Benchmark {
     const char* name;
     const char* what;  // one line of the help
     Result<nlohmann::json> (*run)(const BenchOptions& options);
+    bool asked_only = false;  // runs only where it is named: it takes minutes, or thousands of sockets
 };
 
 constexpr Benchmark kBenchmarks[] = {
@@ -34,6 +35,13 @@ constexpr Benchmark kBenchmarks[] = {
     {"fly", "hits, bytes and memory of a flight through a medium at a constant cache", benchFly},
     {"convert", "seconds and bytes of the converter, beside nanovdb_convert and zstd", benchConvert},
     {"codec", "bytes and speed of the brick codec, beside zfp, Blosc and zstd at equal error", benchCodec},
+#ifdef BRICKYARD_WITH_SERVER
+    {"viewers", "a server with many viewers, and with many connections that do nothing", benchViewers, true},
+    {"first-picture", "seconds to a picture over a far network, beside a client that finds its own pages",
+     benchFirstPicture, true},
+    {"fairness", "viewers beside a greedy client; what a slow one gets of a wish that is replaced",
+     benchFairness, true},
+#endif
 };
 
 struct BenchArguments {
@@ -42,6 +50,7 @@ struct BenchArguments {
     std::uint32_t size = 512;
     unsigned repeats = 5;
     int brick = kDefaultBrickEdge;
+    BenchOptions passed{};  // what goes to the benchmarks as it is
     bool json = false;
 };
 
@@ -69,7 +78,7 @@ Result<void> checkFolders(const BenchOptions& options) {
 Result<nlohmann::json> runAll(const std::vector<const Benchmark*>& chosen, const BenchArguments& arguments) {
     const auto scratch = ScratchFolder::create();
     if (!scratch) return tl::unexpected(scratch.error());
-    BenchOptions options;
+    BenchOptions options = arguments.passed;
     options.data = findData(arguments.data);
     options.output = arguments.output;
     options.size = arguments.size;
@@ -110,8 +119,9 @@ Result<nlohmann::json> runAll(const std::vector<const Benchmark*>& chosen, const
 int runBench(const BenchArguments& arguments) {
     std::vector<const Benchmark*> chosen;
     for (const Benchmark& benchmark : kBenchmarks)
-        if (arguments.names.empty() || std::find(arguments.names.begin(), arguments.names.end(),
-                                                 benchmark.name) != arguments.names.end())
+        if (arguments.names.empty() ? !benchmark.asked_only
+                                    : std::find(arguments.names.begin(), arguments.names.end(),
+                                                benchmark.name) != arguments.names.end())
             chosen.push_back(&benchmark);
     const Result<nlohmann::json> figures = runAll(chosen, arguments);
     if (!figures) return reportError("bench", figures.error());
@@ -128,11 +138,12 @@ void addBenchCommand(CLI::App& app, int& status) {
     std::string footer = "Benchmarks:";
     for (const Benchmark& benchmark : kBenchmarks) {
         names.push_back(benchmark.name);
-        footer += fmt::format("\n  {:<8}{}", benchmark.name, benchmark.what);
+        footer += fmt::format("\n  {:<15}{}{}", benchmark.name, benchmark.what,
+                              benchmark.asked_only ? " (only where it is named)" : "");
     }
     command
         ->add_option("NAME", arguments->names,
-                     fmt::format("Which: {}; all where none is named", fmt::join(names, ", ")))
+                     fmt::format("Which: {}; where none is named, all up to codec", fmt::join(names, ", ")))
         ->check(CLI::IsMember(names))
         ->type_name("");
     command
@@ -160,6 +171,22 @@ void addBenchCommand(CLI::App& app, int& status) {
         ->check(CLI::IsMember({8, 16, 32}))
         ->type_name("N")
         ->capture_default_str();
+#ifdef BRICKYARD_WITH_SERVER
+    BenchOptions& passed = arguments->passed;
+    const auto number = [&](const char* name, auto& value, double least, double most, const char* what) {
+        command->add_option(name, value, what)
+            ->check(CLI::Range(least, most))
+            ->type_name("N")
+            ->capture_default_str();
+    };
+    number("--viewers", passed.viewers, 1, 100'000, "Of viewers: how many stream");
+    number("--idle", passed.idle, 0, 1'000'000, "Of viewers: connections that do nothing");
+    number("--seconds", passed.seconds, 0.2, 86'400,
+           "Of viewers: how long; each part of fairness has a sixth");
+    number("--normal", passed.normal, 1, 10'000, "Of fairness: viewers beside the greedy client");
+    number("--delay-ms", passed.delay_ms, 0, 10'000, "Of first-picture: a round trip, half of it each way");
+    number("--mbit", passed.mbit, 0.1, 10'000, "Of first-picture and fairness: a slow network's Mbit/s");
+#endif
     command->add_flag("--json", arguments->json, "One JSON object on stdout and nothing else");
     command->footer(footer +
                     "\nDatasets are converted into a temporary folder, which is removed afterwards.");
