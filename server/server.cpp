@@ -122,6 +122,8 @@ void Server::stop() {
     for (auto& thread : state_->threads) thread->stop();
     context.workers.stop();
     context.workers.join();
+    // What goes now gives memory back; nobody is left to be told.
+    context.batches.forgetWaiting();
 }
 
 }  // namespace brickyard
