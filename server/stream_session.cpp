@@ -237,7 +237,7 @@ private:
             // What came meanwhile may be a new wish: then these pages are not sent, and the client, who
             // counts on nothing, will wish for what it still wants.
             send(std::move(batch));
-            if (!inbox_.empty()) pump();
+            if (!inbox_.empty() || news_) pump();
         } else {
             batch = {};
             pump();
