@@ -27,40 +27,67 @@ void BatchMemory::reset() {
 }
 
 BatchMemory BatchPool::take(std::size_t bytes) {
-    BatchMemory memory;
     const std::size_t capacity = std::max(bytes, kBatchBytes);
     {
         const std::lock_guard lock(mutex_);
-        if (used_bytes_ != 0 && used_bytes_ + capacity > budget_bytes_) return memory;
+        if (!waiting_.empty() || !fits(capacity)) return {};
         used_bytes_ += capacity;
-        if (capacity == kBatchBytes && !spare_.empty()) {
-            memory.bytes_ = std::move(spare_.back());
-            spare_.pop_back();
-        }
     }
+    return allocate(capacity);
+}
+
+BatchMemory BatchPool::allocate(std::size_t capacity) {
+    BatchMemory memory;
     memory.pool_ = this;
     memory.capacity_ = capacity;
-    if (!memory.bytes_) {
-        try {
-            memory.bytes_ = std::make_unique_for_overwrite<std::byte[]>(capacity);
-        } catch (const std::bad_alloc&) {
-            // The machine has less than the budget: as if that were used up.
-            giveBack(nullptr, capacity);
-            memory.capacity_ = 0;
+    if (capacity == kBatchBytes) {
+        const std::lock_guard lock(mutex_);
+        if (!spare_.empty()) {
+            memory.bytes_ = std::move(spare_.back());
+            spare_.pop_back();
+            return memory;
         }
+    }
+    try {
+        memory.bytes_ = std::make_unique_for_overwrite<std::byte[]>(capacity);
+    } catch (const std::bad_alloc&) {
+        // The machine has less than the budget: as if that were used up.
+        memory.capacity_ = 0;
+        const std::lock_guard lock(mutex_);
+        used_bytes_ -= capacity;
     }
     return memory;
 }
 
-void BatchPool::await(std::function<void()> retry) {
+void BatchPool::await(std::size_t bytes, std::function<void(BatchMemory)> granted) {
     {
         const std::lock_guard lock(mutex_);
-        if (used_bytes_ != 0 && used_bytes_ + kBatchBytes > budget_bytes_) {
-            waiting_.push_back(std::move(retry));
-            return;
-        }
+        waiting_.push_back({std::max(bytes, kBatchBytes), std::move(granted)});
     }
-    retry();
+    serveWaiting();
+}
+
+void BatchPool::serveWaiting() {
+    for (;;) {
+        Waiting next;
+        {
+            const std::lock_guard lock(mutex_);
+            if (waiting_.empty() || !fits(waiting_.front().capacity)) return;
+            next = std::move(waiting_.front());
+            waiting_.pop_front();
+            used_bytes_ += next.capacity;
+        }
+        next.granted(allocate(next.capacity));
+    }
+}
+
+void BatchPool::forgetWaiting() {
+    // Let go of without the lock: what they hold may hold memory of this pool.
+    std::deque<Waiting> forgotten;
+    {
+        const std::lock_guard lock(mutex_);
+        forgotten.swap(waiting_);
+    }
 }
 
 std::uint64_t BatchPool::usedBytes() const {
@@ -69,17 +96,12 @@ std::uint64_t BatchPool::usedBytes() const {
 }
 
 void BatchPool::giveBack(std::unique_ptr<std::byte[]> bytes, std::size_t capacity) {
-    std::function<void()> next;
     {
         const std::lock_guard lock(mutex_);
         used_bytes_ -= capacity;
         if (bytes && capacity == kBatchBytes && spare_.size() < kSpares) spare_.push_back(std::move(bytes));
-        if (!waiting_.empty()) {
-            next = std::move(waiting_.front());
-            waiting_.pop_front();
-        }
     }
-    if (next) next();
+    serveWaiting();
 }
 
 }  // namespace brickyard

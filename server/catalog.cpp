@@ -32,6 +32,13 @@ bool isInside(const fs::path& file, const fs::path& folder) {
     return end == folder.end();
 }
 
+// Whether a dataset lies where its library says, links resolved.
+bool isInLibrary(const fs::path& folder) {
+    std::error_code error;
+    const auto real = fs::canonical(folder, error);
+    return !error && isInside(real, fs::canonical(folder.parent_path(), error)) && !error;
+}
+
 // A frame file must lie in its dataset's folder, links resolved: whoever may write there must not make us
 // read, and send, what lies elsewhere.
 Result<void> checkPlace(const Dataset& dataset, const FrameEntry& entry) {
@@ -45,6 +52,10 @@ Result<void> checkPlace(const Dataset& dataset, const FrameEntry& entry) {
         return fail(
             ErrorCode::kInvalid,
             fmt::format("{}: is a link out of its dataset; move the file itself there", file.string()));
+    // Opening a pipe would wait for its other end.
+    if (!fs::is_regular_file(real, error))
+        return fail(ErrorCode::kCorrupt,
+                    fmt::format("{}: is not a file; convert frame {} again", file.string(), entry.frame()));
     return {};
 }
 
@@ -67,6 +78,11 @@ Result<void> checkFrames(const Dataset& dataset) {
         if (auto first = dataset.openFrame(dataset.manifest().frames(0).frame()); !first)
             return tl::unexpected(first.error());
     return {};
+}
+
+// On the wire every name is.
+std::string notUtf8(const fs::path& folder) {
+    return fmt::format("{}: the dataset's name is not UTF-8; rename the folder", validUtf8(folder.string()));
 }
 
 bool hasManifest(const fs::path& folder) {
@@ -117,6 +133,7 @@ Result<std::unique_ptr<Catalog>> Catalog::open(const std::vector<fs::path>& path
         auto entry = openEntry(path);
         if (!entry) return tl::unexpected(entry.error());
         const std::string name = nameOf(path);
+        if (name != validUtf8(name)) return fail(ErrorCode::kInvalid, notUtf8(path));
         const auto [other, is_new] = catalog->entries_.emplace(name, std::move(*entry));
         if (!is_new)
             return fail(ErrorCode::kInvalid,
@@ -133,7 +150,6 @@ Result<std::unique_ptr<Catalog>> Catalog::open(const std::vector<fs::path>& path
 
 void Catalog::addFromLibrary(const fs::path& library, Changes& changes) {
     std::error_code error;
-    const auto real_library = fs::canonical(library, error);
     std::vector<fs::path> folders;
     for (fs::directory_iterator at(library, error), end; !error && at != end; at.increment(error)) {
         const auto& folder = at->path();
@@ -146,18 +162,26 @@ void Catalog::addFromLibrary(const fs::path& library, Changes& changes) {
         changes.warnings.push_back(
             fmt::format("{}: cannot be listed: {}", library.string(), error.message()));
     std::sort(folders.begin(), folders.end());
+    std::erase_if(rejected_, [&](const auto& rejected) {
+        return rejected.first.parent_path() == library &&
+               !std::binary_search(folders.begin(), folders.end(), rejected.first);
+    });
     for (const auto& folder : folders) {
         const std::string name = nameOf(folder);
         const auto known = entries_.find(name);
         if (known != entries_.end() && known->second.folder == folder) continue;
-        const Stamp stamp = stampOf(folder);
-        if (const auto told = rejected_.find(folder); told != rejected_.end() && told->second == stamp)
-            continue;
+        // Looked at again and again: what copies a dataset here may bring the frames behind the manifest.
         const auto reject = [&](std::string why) {
-            rejected_[folder] = stamp;
-            changes.warnings.push_back(std::move(why));
+            const Stamp stamp = stampOf(folder);
+            const auto [told, is_new] = rejected_.emplace(folder, stamp);
+            if (is_new || told->second != stamp) changes.warnings.push_back(std::move(why));
+            told->second = stamp;
         };
-        if (!isInside(fs::canonical(folder, error), real_library)) {
+        if (name != validUtf8(name)) {
+            reject(notUtf8(folder));
+            continue;
+        }
+        if (!isInLibrary(folder)) {
             reject(fmt::format("{}: is a link out of the served folder; name the dataset itself",
                                folder.string()));
             continue;
@@ -194,24 +218,25 @@ std::string Catalog::describeNames() const {
     return names.empty() ? "none" : fmt::format("{}", fmt::join(names, ", "));
 }
 
-// Whether the manifest is another one now. It is replaced atomically, so a new stamp means a whole new
-// manifest; one that cannot be read now (the folder is being exchanged) leaves the old one in place until the
-// next question.
-bool Catalog::look(Entry& entry) const {
+// Takes the manifest anew where it is another one now. It is replaced atomically, so a new stamp means a
+// whole new manifest; one that cannot be read now (the folder is being exchanged) leaves the old one in place
+// until the next question.
+void Catalog::look(Entry& entry) const {
     entry.looked = std::chrono::steady_clock::now();
     const Stamp now = stampOf(entry.folder);
-    if (now == entry.stamp) return false;
-    if (now == Stamp{}) {
-        const bool was_there = entry.dataset != nullptr;
+    if (now == entry.stamp) return;
+    // A folder that became a link out of its library is gone, as far as we are concerned.
+    if (now == Stamp{} || (entry.from_library && !isInLibrary(entry.folder))) {
+        entry.changed = entry.changed || entry.dataset != nullptr;
         entry.dataset = nullptr;
         entry.stamp = now;
-        return was_there;
+        return;
     }
     auto reopened = Dataset::open(entry.folder);
-    if (!reopened) return false;
+    if (!reopened) return;
     entry.dataset = std::make_shared<const Dataset>(std::move(*reopened));
     entry.stamp = now;
-    return true;
+    entry.changed = true;
 }
 
 Result<std::shared_ptr<const Dataset>> Catalog::dataset(const std::string& name) const {
@@ -281,11 +306,12 @@ Catalog::Changes Catalog::refresh() {
     const std::lock_guard lock(mutex_);
     for (auto at = entries_.begin(); at != entries_.end();) {
         auto& [name, entry] = *at;
-        // By what was asked meanwhile, too: whoever is told compares for himself.
-        const bool was_there = entry.dataset != nullptr;
-        if (look(entry)) {
+        look(entry);
+        // Also what somebody's question noticed meanwhile.
+        if (std::exchange(entry.changed, false)) {
             changes.datasets.push_back(name);
-            if (was_there != (entry.dataset != nullptr)) changes.names = true;
+            const bool is_there = entry.dataset != nullptr;
+            if (std::exchange(entry.told, is_there) != is_there) changes.names = true;
             // What was converted again, or is gone, is not what is open.
             frames_.remove_if([&](const OpenFrame& open) {
                 if (open.name != name) return false;

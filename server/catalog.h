@@ -71,6 +71,8 @@ private:
     struct Entry {
         std::filesystem::path folder;
         bool from_library = false;  // found in a folder of datasets, and forgotten when it is gone
+        bool changed = false;       // since the last refresh(), whoever noticed it
+        bool told = true;           // whether it was there at the last refresh()
         Stamp stamp;
         std::chrono::steady_clock::time_point looked;
         std::shared_ptr<const Dataset> dataset;  // nullptr while it is not there
@@ -89,7 +91,7 @@ private:
     static Result<Entry> openEntry(const std::filesystem::path& folder);
     // REQUIRES: the mutex is held, for these.
     std::string describeNames() const;
-    bool look(Entry& entry) const;
+    void look(Entry& entry) const;
     void addFromLibrary(const std::filesystem::path& library, Changes& changes);
 
     const std::size_t max_open_frames_;

@@ -113,6 +113,12 @@ bool Conversation::checkToken(const std::string& token, const char* why_not) {
         }
         access = *found;
     }
+    // A stream goes on with what it has opened, so that must still be the token's to open.
+    for (const OpenDataset& open : datasets_)
+        if (!access.allows(open.name)) {
+            end(Failed::REASON_TOKEN, why_not);
+            return false;
+        }
     offer_.emplace(*services_.catalog, std::move(access));
     checked_ = std::move(tokens);
     return true;
@@ -258,7 +264,9 @@ void Conversation::tellNews() {
     auto names = offer_->names();
     if (names != told_names_) {
         StreamHeader header;
-        for (const std::string& name : names) header.mutable_catalog_changed()->add_datasets(name);
+        // Named also where no dataset is left: a header must say something.
+        CatalogChanged& changed = *header.mutable_catalog_changed();
+        for (const std::string& name : names) changed.add_datasets(name);
         told_names_ = std::move(names);
         answer(header);
     }

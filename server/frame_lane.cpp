@@ -9,71 +9,87 @@ namespace asio = boost::asio;
 
 void FrameLane::write(OutBatch batch, std::function<void(ErrorCondition)> done) {
     assert(!writing() && batch && !batch.empty());
-    batch_ = std::move(batch);
-    batch_done_ = std::move(done);
-    sent_ = handed_ = 0;
-    go();
-}
-
-std::size_t FrameLane::committed() const {
-    return std::max(batch_.messageEnd(sent_), batch_.messageEnd(handed_));
+    state_->batch = std::move(batch);
+    state_->batch_done = std::move(done);
+    state_->sent = state_->handed = 0;
+    state_->go();
 }
 
 void FrameLane::dropPages() {
-    if (batch_) batch_.dropPages(committed());
+    if (state_->batch) state_->batch.dropPages(state_->committed());
 }
 
 void FrameLane::dropAll() {
-    if (batch_) batch_.dropAll(committed());
+    if (state_->batch) state_->batch.dropAll(state_->committed());
 }
 
-void FrameLane::go() {
-    if (busy_) return;
-    const bool between_messages = !batch_ || batch_.messageEnd(sent_) == sent_;
-    if (control_done_ && between_messages) return writeControl();
-    if (batch_) writeBatch();
+void FrameLane::State::abandon() {
+    stream.bytes().close();
+    control_done = {};
+    batch_done = {};
+    // What is under way still reads from the batch; it goes with the state.
+    if (!busy) batch = {};
 }
 
-void FrameLane::writeControl() {
-    busy_ = true;
-    const WriteBuffers rest(asio::buffer(control_) + control_sent_);
-    stream_.bytes().asyncWriteSome(rest, OnceHandler([this](ErrorCondition error, std::size_t bytes) {
-                                       busy_ = false;
-                                       control_sent_ += bytes;
-                                       if (!error && control_sent_ < control_.size()) return go();
-                                       auto done = std::move(control_done_);
-                                       done(error, control_sent_);
-                                       // The handler may have started the next write already.
-                                       go();
-                                   }));
+std::size_t FrameLane::State::committed() const {
+    return std::max(batch.messageEnd(sent), batch.messageEnd(handed));
 }
 
-void FrameLane::writeBatch() {
-    if (sent_ == batch_.size()) {
-        const auto done = std::move(batch_done_);
-        batch_ = {};
+void FrameLane::State::go() {
+    if (busy) return;
+    const bool between_messages = !batch || batch.messageEnd(sent) == sent;
+    if (control_done && between_messages) return writeControl();
+    if (batch) writeBatch();
+}
+
+void FrameLane::State::writeControl() {
+    busy = true;
+    const WriteBuffers rest(asio::buffer(control) + control_sent);
+    stream.bytes().asyncWriteSome(
+        rest, OnceHandler([state = shared_from_this()](ErrorCondition error, std::size_t bytes) {
+            state->busy = false;
+            // Nobody is left where the lane went meanwhile.
+            if (!state->control_done) return;
+            state->control_sent += bytes;
+            if (!error && state->control_sent < state->control.size()) return state->go();
+            auto done = std::move(state->control_done);
+            done(error, state->control_sent);
+            // The handler may have started the next write already.
+            state->go();
+        }));
+}
+
+void FrameLane::State::writeBatch() {
+    if (sent == batch.size()) {
+        const auto done = std::move(batch_done);
+        batch = {};
         return done({});
     }
-    busy_ = true;
-    handed_ = batch_.size();
-    if (slow_) {
-        const std::size_t end = batch_.messageEnd(sent_);
-        handed_ = end > sent_ ? end : batch_.messageEnd(sent_ + 1);
+    busy = true;
+    handed = batch.size();
+    if (slow) {
+        const std::size_t end = batch.messageEnd(sent);
+        handed = end > sent ? end : batch.messageEnd(sent + 1);
     }
-    const WriteBuffers rest(asio::const_buffer(batch_.data() + sent_, handed_ - sent_));
-    stream_.bytes().asyncWriteSome(rest, OnceHandler([this](ErrorCondition error, std::size_t bytes) {
-                                       busy_ = false;
-                                       sent_total_ += bytes;
-                                       if (error) {
-                                           const auto done = std::move(batch_done_);
-                                           batch_ = {};
-                                           return done(error);
-                                       }
-                                       sent_ += bytes;
-                                       slow_ = sent_ < handed_;
-                                       handed_ = sent_;
-                                       go();
-                                   }));
+    const WriteBuffers rest(asio::const_buffer(batch.data() + sent, handed - sent));
+    stream.bytes().asyncWriteSome(
+        rest, OnceHandler([state = shared_from_this()](ErrorCondition error, std::size_t bytes) {
+            state->busy = false;
+            if (!state->batch_done) return;
+            state->sent_total += bytes;
+            if (error) {
+                const auto done = std::move(state->batch_done);
+                state->batch = {};
+                done(error);
+                // A control frame that waited for the message's end fails as well: who wrote it may hold the
+                // session.
+                return state->go();
+            }
+            state->sent += bytes;
+            state->slow = state->sent < state->handed;
+            state->handed = state->sent;
+            state->go();
+        }));
 }
 
 }  // namespace brickyard

@@ -105,6 +105,8 @@ private:
         if (leaving_) return shutdown();
         idle_ = true;
         parser_.emplace();
+        // A body that came with its header is looked at now, not when something else comes.
+        parser_->eager(true);
         parser_->header_limit(kMaxRequestHeaderBytes);
         parser_->body_limit(kMaxRequestBodyBytes);
         // What is there of the next request already, from a peer that does not wait for answers.

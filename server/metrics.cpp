@@ -10,8 +10,10 @@
 #include <sys/resource.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <chrono>
 #include <fstream>
+#include <mutex>
 
 namespace brickyard {
 namespace {
@@ -52,6 +54,13 @@ double processorSeconds() {
 }  // namespace
 
 struct Metrics::State {
+    // Tells one object's counters from those of another one that lay at the same address.
+    const std::uint64_t id = [] {
+        static std::atomic<std::uint64_t> last{0};
+        return ++last;
+    }();
+    std::mutex reading;  // two who read at once must not both count what is new
+
     prometheus::Registry registry;
 
     prometheus::Family<prometheus::Counter>& requests = BuildCounter()
@@ -157,14 +166,14 @@ Metrics::~Metrics() = default;
 void Metrics::httpRequest(std::string_view route, unsigned status, double seconds) {
     // Looked up each time: a family locks and hashes, so the common answers are remembered by each thread.
     struct Known {
-        const Metrics* of = nullptr;
+        std::uint64_t of = 0;
         const void* route = nullptr;
         unsigned status = 0;
         prometheus::Counter* counter = nullptr;
     };
     thread_local Known known;
-    if (known.of != this || known.route != route.data() || known.status != status)
-        known = {this, route.data(), status,
+    if (known.of != state_->id || known.route != route.data() || known.status != status)
+        known = {state_->id, route.data(), status,
                  &state_->requests.Add({{"route", std::string(route)}, {"code", std::to_string(status)}})};
     known.counter->Increment();
     state_->request_seconds.Observe(seconds);
@@ -192,6 +201,7 @@ void Metrics::error(std::string_view kind) { state_->errors.Add({{"kind", std::s
 
 std::string Metrics::text(const Gauges& now) const {
     State& s = *state_;
+    const std::lock_guard lock(s.reading);
     s.queued.Set(double(now.queued_bytes));
     s.queue_limit.Set(double(now.queue_limit_bytes));
     s.wish_bytes.Set(double(now.wish_bytes));

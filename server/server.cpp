@@ -117,6 +117,8 @@ void Server::stop() {
     context.connections.waitUntilEmpty(context.options.drain_timeout);
     // Workers post to the threads, and threads to the workers: both must end before either's queue goes.
     for (auto& thread : state_->threads) thread->stop();
+    // What goes now gives memory back; nobody is left to be told.
+    context.batches.forgetWaiting();
     context.pool->stop();
     context.pool->join();
     context.pool.reset();

@@ -144,6 +144,7 @@ private:
         if (!inbox_.empty() || news_) return work({});
         if (lane().writing() || awaiting_memory_) return;
         if (!talk_.hasMore()) {
+            granted_.reset();
             if (talk_.over()) close(websocket::close_code::policy_error);
             return;
         }
@@ -161,20 +162,28 @@ private:
     }
 
     OutBatch takeBatch() {
-        OutBatch batch(context_.batches.take(std::max(needed_, kBatchBytes)));
-        needed_ = 0;
+        const std::size_t bytes = std::max(std::exchange(needed_, 0), kBatchBytes);
+        if (granted_ && granted_.capacity() >= bytes) return OutBatch(std::move(granted_));
+        granted_.reset();
+        OutBatch batch(context_.batches.take(bytes));
         if (!batch) {
             awaiting_memory_ = true;
-            context_.batches.await([weak = weak_from_this(), executor = stream_.get_executor()] {
-                asio::post(executor, [weak] {
-                    const auto self = weak.lock();
-                    if (!self) return;
-                    self->awaiting_memory_ = false;
-                    self->pump();
+            context_.batches.await(
+                bytes, [weak = weak_from_this(), executor = stream_.get_executor()](BatchMemory memory) {
+                    asio::post(executor, [weak, granted = std::move(memory)]() mutable {
+                        if (const auto self = weak.lock()) self->onGranted(std::move(granted));
+                    });
                 });
-            });
         }
         return batch;
+    }
+
+    void onGranted(BatchMemory memory) {
+        awaiting_memory_ = false;
+        if (closing_) return;
+        if (!memory) return drop("the machine is out of memory");
+        granted_ = std::move(memory);
+        pump();
     }
 
     // A worker receives what came, and then fills `batch` where there is one.
@@ -184,8 +193,9 @@ private:
         std::deque<std::vector<std::byte>> messages;
         messages.swap(inbox_);
         const bool news = std::exchange(news_, false);
+        // Saves the way back and forth, where there is memory.
         if (!batch && !lane().writing() && !awaiting_memory_)
-            batch = OutBatch(context_.batches.take());  // saves the way back and forth, where there is memory
+            batch = OutBatch(granted_ ? std::move(granted_) : context_.batches.take());
         asio::post(context_.workers(),
                    [self = shared_from_this(), messages = std::move(messages), news,
                     batch = std::move(batch)]() mutable { self->workOn(messages, news, std::move(batch)); });
@@ -228,7 +238,7 @@ private:
             // What came meanwhile may be a new wish: then these pages are not sent, and the client, who
             // counts on nothing, will wish for what it still wants.
             send(std::move(batch));
-            if (!inbox_.empty()) pump();
+            if (!inbox_.empty() || news_) pump();
         } else {
             batch = {};
             pump();
@@ -274,6 +284,7 @@ private:
         // A WebSocket that is still being made cannot say goodbye.
         if (!accepted_) return drop("");
         closing_ = true;
+        granted_.reset();
         lane().dropAll();
         expireAfter(context_.options.drain_timeout);
         stream_.async_close(code, [self = shared_from_this()](ErrorCondition) {});
@@ -282,6 +293,7 @@ private:
     void drop(const std::string& why) {
         if (why_.empty()) why_ = why;
         closing_ = true;
+        granted_.reset();
         expireNever();
         lane().bytes().close();
     }
@@ -299,6 +311,7 @@ private:
     std::atomic<bool> interrupted_{false};
     std::optional<std::string> refusal_;
     std::size_t needed_ = 0;  // of memory for the next batch, where that is more than usual
+    BatchMemory granted_;     // for the next batch, after a wait
     const Clock::time_point began_ = Clock::now();
     std::optional<Clock::time_point> write_began_, message_began_;
     std::string why_;  // it ended, for the log

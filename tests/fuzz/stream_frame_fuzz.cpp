@@ -1,7 +1,27 @@
 // Any bytes as a message of the stream: refused, or the same message when written again.
+#include <algorithm>
 #include <cstdlib>
+#include <cstring>
 
 #include "core/stream_frame.h"
+#include "stream_messages.h"
+
+extern "C" std::size_t LLVMFuzzerMutate(std::uint8_t* data, std::size_t size, std::size_t max_size);
+
+// Now and then a sound message takes the input's place, and is then mutated as any other.
+extern "C" std::size_t LLVMFuzzerCustomMutator(std::uint8_t* data, std::size_t size, std::size_t max_size,
+                                               unsigned seed) {
+    using namespace brickyard;
+    Dice dice(seed);
+    if (dice.once(16)) {
+        const auto message = encodeStreamHead(randomMessage(dice));
+        if (message.size() <= max_size) {
+            std::memcpy(data, message.data(), message.size());
+            size = message.size();
+        }
+    }
+    return LLVMFuzzerMutate(data, size, max_size);
+}
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
     using namespace brickyard;

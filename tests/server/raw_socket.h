@@ -10,21 +10,29 @@ namespace brickyard {
 
 class RawSocket {
 public:
-    explicit RawSocket(std::uint16_t port);
+    // `receive_buffer` is what the system keeps for a reader that is slow; 0 leaves the choice to it.
+    explicit RawSocket(std::uint16_t port, int receive_buffer = 0);
     ~RawSocket();
     RawSocket(const RawSocket&) = delete;
     RawSocket& operator=(const RawSocket&) = delete;
 
-    // False where the peer has closed already.
+    // False where the peer has closed already, or takes nothing for 2 seconds.
     bool send(std::string_view bytes);
+    // The end of what is sent (FIN); and the end of everything (RST).
+    void endSending();
+    void reset();
     // Waits for at least one byte; empty when the peer closed or nothing came for 10 seconds.
     std::string receiveSome();
+    // At most so many bytes, without waiting.
+    std::string receiveNow(std::size_t max_bytes);
     // Until `end` has come, the peer closed, or nothing comes.
     std::string receiveUntil(std::string_view end);
     // Until the peer closes.
     std::string receiveAll();
     // Whether the peer closes within 10 seconds, whatever it sends until then.
     bool closes();
+
+    int descriptor() const { return socket_; }
 
 private:
     int socket_ = -1;
