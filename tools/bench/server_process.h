@@ -37,7 +37,9 @@ public:
     ServerProcess& operator=(const ServerProcess&) = delete;
 
     std::uint16_t port() const { return port_; }
-    StreamAddress address() const { return {"127.0.0.1", port_, dataset_}; }
+    StreamAddress address() const {
+        return {.host = "127.0.0.1", .port = port_, .dataset = dataset_, .authorities = {}};
+    }
     // From /proc and from its own GET /metrics. Errors: kIo (it has ended, or does not answer).
     Result<ServerUsage> usage() const;
 
