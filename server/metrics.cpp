@@ -8,6 +8,7 @@
 #include <prometheus/registry.h>
 #include <prometheus/text_serializer.h>
 #include <sys/resource.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <atomic>
@@ -34,6 +35,10 @@ std::uint64_t residentBytes() {
 }
 
 std::uint64_t openDescriptors() {
+    // Since Linux 6.2 the folder's size is their number. Reading ten thousand entries takes milliseconds,
+    // which the connections of this thread would wait.
+    struct stat counted{};
+    if (stat("/proc/self/fd", &counted) == 0 && counted.st_size > 0) return std::uint64_t(counted.st_size);
     DIR* folder = opendir("/proc/self/fd");
     if (folder == nullptr) return 0;
     std::uint64_t count = 0;

@@ -52,7 +52,10 @@ struct PhaseFigures {
 
 class FairnessBench {
 public:
-    explicit FairnessBench(const BenchOptions& options) : options_(options) { settings_.pace = kPace; }
+    explicit FairnessBench(const BenchOptions& options) : options_(options) {
+        settings_.pace = kPace;
+        settings_.credit_bytes = std::uint64_t(options.wish_kib) << 10;
+    }
 
     Result<nlohmann::json> run() {
         if (auto raised = raiseDescriptorLimit(200 + options_.normal); !raised)

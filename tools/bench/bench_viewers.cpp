@@ -1,7 +1,8 @@
 // `brickyard bench viewers`: a thousand viewers of one server, and ten thousand connections that do nothing.
 #include <fmt/format.h>
+#include <sys/resource.h>
 
-#include <optional>
+#include <algorithm>
 #include <thread>
 
 #include "tools/bench/benchmark.h"
@@ -33,9 +34,20 @@ std::vector<std::string> latencyRow(std::string name, const Quantiles& q) {
     return {std::move(name), fmt::format("{}", q.count), cell(q.p50), cell(q.p99), cell(q.most)};
 }
 
+double ownCpuSeconds() {
+    rusage used{};
+    ::getrusage(RUSAGE_SELF, &used);
+    const auto seconds = [](const timeval& time) {
+        return double(time.tv_sec) + 1e-6 * double(time.tv_usec);
+    };
+    return seconds(used.ru_utime) + seconds(used.ru_stime);
+}
+
 class ViewersBench {
 public:
-    explicit ViewersBench(const BenchOptions& options) : options_(options) {}
+    explicit ViewersBench(const BenchOptions& options) : options_(options) {
+        settings_.credit_bytes = std::uint64_t(options.wish_kib) << 10;
+    }
 
     Result<nlohmann::json> run() {
         if (auto raised = raiseDescriptorLimit(kOtherDescriptors + options_.idle + options_.viewers); !raised)
@@ -70,6 +82,7 @@ private:
         ViewerFigures figures;
         ServerUsage before, quarter, half, end;
         double seconds = 0;
+        double own_cpu_seconds = 0;  // of all viewers, and of the bench itself
     };
     Result<Show> show(std::size_t viewers, double seconds) {
         ViewerCrowd crowd(server_->address(), subject_, paths_, viewers, settings_);
@@ -79,6 +92,7 @@ private:
         show.before = *usage;
         crowd.begin();
         const Clock::time_point began = Clock::now();
+        const double own_cpu = ownCpuSeconds();
         for (auto [part, to] : {std::pair(0.25, &Show::quarter), {0.25, &Show::half}, {0.5, &Show::end}}) {
             sleepFor(part * seconds);
             usage = server_->usage();
@@ -86,6 +100,7 @@ private:
             show.*to = *usage;
         }
         show.seconds = Seconds(Clock::now() - began).count();
+        show.own_cpu_seconds = ownCpuSeconds() - own_cpu;
         show.figures = crowd.end();
         return show;
     }
@@ -111,6 +126,8 @@ private:
             double(options_.viewers) / cores));
         nlohmann::json json = s.figures.json(s.seconds);
         json["viewers"] = options_.viewers;
+        json["wish_kib"] = options_.wish_kib;
+        json["viewers_cpu_seconds"] = s.own_cpu_seconds;
         json["seconds"] = s.seconds;
         json["server"] = usageJson(s.before, s.end, s.seconds);
         json["resident_bytes_at_quarters"] = {s.quarter.resident_bytes, s.half.resident_bytes,
@@ -133,6 +150,8 @@ private:
                         double(s.figures.bytes) * 1e-6 / s.seconds, s.figures.errors,
                         s.figures.first_error.empty() ? "" : ": " + s.figures.first_error));
         options_.print("  " + usageText(s.before, s.end, s.seconds));
+        options_.print(fmt::format("  viewers: {:.2f} CPU s ({:.2f} cores)", s.own_cpu_seconds,
+                                   s.own_cpu_seconds / s.seconds));
     }
 
     Result<nlohmann::json> idle() {
@@ -213,7 +232,7 @@ private:
     ServedSubject subject_;
     std::vector<ViewerPath> paths_;
     std::unique_ptr<ServerProcess> server_;
-    const ViewerSettings settings_{};
+    ViewerSettings settings_;
 };
 
 }  // namespace

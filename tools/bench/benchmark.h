@@ -25,7 +25,8 @@ struct BenchOptions {
     // Of a server's clients: how many stream, for how long, and how many connections do nothing.
     std::size_t viewers = 1000, idle = 10'000;
     double seconds = 60;
-    std::size_t normal = 50;  // viewers beside a greedy client
+    std::uint32_t wish_kib = 32;  // of payload that each of their wishes asks for
+    std::size_t normal = 50;      // viewers beside a greedy client
     // Of a far network: a round trip, and the bandwidth each way.
     double delay_ms = 100, mbit = 20;
     // Takes lines for a person: tables and verdicts, on stdout. Does nothing under --json.

@@ -183,6 +183,7 @@ void addBenchCommand(CLI::App& app, int& status) {
     number("--idle", passed.idle, 0, 1'000'000, "Of viewers: connections that do nothing");
     number("--seconds", passed.seconds, 0.2, 86'400,
            "Of viewers: how long; each part of fairness has a sixth");
+    number("--wish-kib", passed.wish_kib, 1, 65'536, "Of viewers and fairness: KiB that each wish asks for");
     number("--normal", passed.normal, 1, 10'000, "Of fairness: viewers beside the greedy client");
     number("--delay-ms", passed.delay_ms, 0, 10'000, "Of first-picture: a round trip, half of it each way");
     number("--mbit", passed.mbit, 0.1, 10'000, "Of first-picture and fairness: a slow network's Mbit/s");
