@@ -26,7 +26,7 @@ constexpr std::size_t kReadBytes = 4u << 10, kKeptReadBytes = 64u << 10;
 constexpr std::size_t kMaxInbox = 8;
 // What the socket may hold that the network did not take yet: little, so that a new wish finds little on its
 // way, and enough that the network never waits for us.
-constexpr int kUnsentBytes = 256 << 10;
+constexpr int kUnsentBytes = 64 << 10;
 
 // Who touches what: the connection's thread owns the socket and everything here, but for `talk_`, which
 // belongs to a worker while `working_`. A worker receives messages, and reads from the disk what memory does

@@ -39,6 +39,19 @@ def lint(text, name):
     return {int(line) for line in re.findall(r":(\d+): (?!not formatted)", run.stdout)}
 
 
+def lintAll(texts):
+    """Files and lines of the types that another file of the same program defines as well."""
+    with tempfile.TemporaryDirectory() as folder:
+        paths = []
+        for name, text in texts.items():
+            paths.append(os.path.join(folder, name))
+            with open(paths[-1], "w", encoding="utf-8") as file:
+                file.write(text)
+        run = subprocess.run([sys.executable, LINT, *paths], capture_output=True, text=True)
+    return {(os.path.basename(file), int(line))
+            for file, line in re.findall(r"^(.+?):(\d+): \w+ is a type in", run.stdout, re.M)}
+
+
 def main():
     wrong = []
     text = "".join(f"Task f{i}() {{ {line} \n}}\n" for i, (line, _) in enumerate(LINES))
@@ -50,6 +63,13 @@ def main():
         wrong.append('an include through "../" was not found')
     if lint("int a();\n", "a.h") != {1}:
         wrong.append("a header without #pragma once was not found")
+    twins = {
+        "a.h": "#pragma once\nnamespace brickyard {\nstruct One {\n    int a;\n};\nclass Two {};\n}  // namespace brickyard\n",
+        "b.cpp": "namespace brickyard {\nnamespace {\nstruct One {};\n}  // namespace\nstruct Two::One {};\n}\n",
+        "c.cpp": "namespace brickyard {\nstruct One : Two {\n};\n}  // namespace brickyard\n",
+    }
+    if lintAll(twins) != {("c.cpp", 2)}:
+        wrong.append(f"of two types of one name {lintAll(twins)} was found")
     for line in wrong:
         print(line)
     return 1 if wrong else 0

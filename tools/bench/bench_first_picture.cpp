@@ -72,7 +72,7 @@ public:
             ServerProcess::start(subject->folder, options_.scratch);
         if (!server) return tl::unexpected(server.error());
         server_ = std::move(*server);
-        const ServedFrame& frame = subject->frames.back();
+        const SubjectFrame& frame = subject->frames.back();
 
         nlohmann::json json{{"cache", subject->cache}, {"frame", frame.frame}, {"size", edge_}};
         const Result<ServerUsage> before = server_->usage();
@@ -119,7 +119,7 @@ private:
         return least;
     }
 
-    Result<nlohmann::json> overNetwork(const ServedSubject& subject, const ServedFrame& frame,
+    Result<nlohmann::json> overNetwork(const ServedSubject& subject, const SubjectFrame& frame,
                                        double round_trip_ms) {
         const auto network = makeNetwork(round_trip_ms);
         if (!network) return tl::unexpected(network.error());

@@ -5,7 +5,7 @@
 
 namespace brickyard {
 
-StreamHeader listWish(const ServedFrame& frame, const PageWish& list, std::uint64_t epoch) {
+StreamHeader listWish(const SubjectFrame& frame, const PageWish& list, std::uint64_t epoch) {
     StreamHeader header;
     Wish& wish = *header.mutable_wish();
     wish = wishMessage(list);
@@ -25,7 +25,7 @@ Result<std::unique_ptr<GreedyClient>> GreedyClient::start(std::uint16_t port, co
         new GreedyClient(std::move(*stream), subject.frames[path.frame], path, greed));
 }
 
-GreedyClient::GreedyClient(RawStream stream, const ServedFrame& frame, const ViewerPath& path, Greed greed)
+GreedyClient::GreedyClient(RawStream stream, const SubjectFrame& frame, const ViewerPath& path, Greed greed)
     : stream_(std::move(stream)), greed_(greed) {
     PageWish every, seen;
     every.pages = everyPage(frame).pages;

@@ -35,7 +35,7 @@ public:
     bool failed() const { return failed_; }
 
 private:
-    GreedyClient(RawStream stream, const ServedFrame& frame, const ViewerPath& path, Greed greed);
+    GreedyClient(RawStream stream, const SubjectFrame& frame, const ViewerPath& path, Greed greed);
     bool wish();
     void read();
     void flood();
@@ -50,6 +50,6 @@ private:
 };
 
 // The wish for a list of pages over a frame of dataset 1.
-StreamHeader listWish(const ServedFrame& frame, const PageWish& list, std::uint64_t epoch);
+StreamHeader listWish(const SubjectFrame& frame, const PageWish& list, std::uint64_t epoch);
 
 }  // namespace brickyard

@@ -30,7 +30,7 @@ const char* toString(RaceClient client);
 
 struct RaceSetup {
     StreamAddress address;
-    const ServedFrame& frame;
+    const SubjectFrame& frame;
     const StreamTable& table;
     Camera camera;
     PinholeCamera pinhole;

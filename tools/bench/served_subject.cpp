@@ -13,10 +13,10 @@ namespace {
 
 constexpr std::uint64_t kTopologyBytes = 256u << 20;
 
-Result<ServedFrame> openServed(const Dataset& dataset, std::uint32_t number, const std::string& channel) {
+Result<SubjectFrame> openServed(const Dataset& dataset, std::uint32_t number, const std::string& channel) {
     const auto store = dataset.openFrame(number);
     if (!store) return tl::unexpected(store.error());
-    ServedFrame frame;
+    SubjectFrame frame;
     frame.frame = number;
     frame.reader = std::make_shared<FrameReader>(*store, std::make_shared<BlockCache>(kTopologyBytes));
     const FrameFooter& footer = (*store)->footer();
@@ -54,7 +54,7 @@ Result<ServedSubject> convertServed(const BenchOptions& options) {
     const Result<Dataset> dataset = Dataset::open(subject.folder);
     if (!dataset) return tl::unexpected(dataset.error());
     for (const FrameEntry& entry : dataset->manifest().frames()) {
-        Result<ServedFrame> frame = openServed(*dataset, entry.frame(), cache.channel);
+        Result<SubjectFrame> frame = openServed(*dataset, entry.frame(), cache.channel);
         if (!frame) return tl::unexpected(frame.error());
         subject.payload_bytes += frame->footer().payload_bytes();
         subject.frames.push_back(std::move(*frame));
@@ -62,7 +62,7 @@ Result<ServedSubject> convertServed(const BenchOptions& options) {
     return subject;
 }
 
-EveryPage everyPage(const ServedFrame& frame) {
+EveryPage everyPage(const SubjectFrame& frame) {
     struct Node {
         WishedPage page;
         std::uint32_t bytes = 0;

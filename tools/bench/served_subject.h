@@ -18,7 +18,7 @@
 
 namespace brickyard {
 
-struct ServedFrame {
+struct SubjectFrame {
     std::uint32_t frame = 0;
     std::shared_ptr<const FrameReader> reader;
     std::uint32_t channel = 0;                 // of density
@@ -33,7 +33,7 @@ struct ServedFrame {
 struct ServedSubject {
     std::string cache;  // "plume_fire 24"
     std::filesystem::path folder;
-    std::vector<ServedFrame> frames;
+    std::vector<SubjectFrame> frames;
     std::uint64_t payload_bytes = 0;  // of all frames
 };
 
@@ -45,6 +45,6 @@ struct EveryPage {
     std::vector<WishedPage> pages;
     std::uint64_t bytes = 0;
 };
-EveryPage everyPage(const ServedFrame& frame);
+EveryPage everyPage(const SubjectFrame& frame);
 
 }  // namespace brickyard

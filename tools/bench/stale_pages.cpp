@@ -22,9 +22,9 @@ std::uint64_t excess(std::uint64_t bytes, std::uint64_t held) { return bytes - s
 
 }  // namespace
 
-Result<StalePages> measureStalePages(std::uint16_t port, const std::string& dataset, const ServedFrame& frame,
-                                     const RawStreamOptions& how, double bytes_per_second,
-                                     bool through_proxy) {
+Result<StalePages> measureStalePages(std::uint16_t port, const std::string& dataset,
+                                     const SubjectFrame& frame, const RawStreamOptions& how,
+                                     double bytes_per_second, bool through_proxy) {
     Result<RawStream> stream = RawStream::open(port, dataset, how);
     if (!stream) return tl::unexpected(stream.error());
     EveryPage every = everyPage(frame);

@@ -21,8 +21,8 @@ struct StalePages {
 
 // Wishes for every page with endless credit, reads for a while, and wishes for some others. `through_proxy`:
 // the sockets at its other side cannot be seen. Errors: kIo; kTimeout (no page of the new wish).
-Result<StalePages> measureStalePages(std::uint16_t port, const std::string& dataset, const ServedFrame& frame,
-                                     const RawStreamOptions& how, double bytes_per_second,
-                                     bool through_proxy);
+Result<StalePages> measureStalePages(std::uint16_t port, const std::string& dataset,
+                                     const SubjectFrame& frame, const RawStreamOptions& how,
+                                     double bytes_per_second, bool through_proxy);
 
 }  // namespace brickyard

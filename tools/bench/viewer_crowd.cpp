@@ -172,7 +172,7 @@ private:
     Shared& shared_;
     const std::size_t number_;
     const ViewerPath& path_;
-    const ServedFrame& frame_;
+    const SubjectFrame& frame_;
     const BrickShape shape_;
     PageCache cache_;
     std::vector<float> samples_;

@@ -30,7 +30,7 @@ Camera raised(const Camera& framing, double height) {
 Result<std::vector<ViewerPath>> makeViewerPaths(const ServedSubject& subject) {
     std::vector<ViewerPath> paths;
     for (std::size_t f = 0; f < subject.frames.size(); ++f) {
-        const ServedFrame& frame = subject.frames[f];
+        const SubjectFrame& frame = subject.frames[f];
         const Camera framing = frameChannel(frame.footer(), double(kViewerWidth) / double(kViewerHeight));
         for (int p = 0; p < kPathsPerFrame; ++p) {
             ViewerPath& path = paths.emplace_back();
