@@ -21,6 +21,13 @@ void IoThread::stop() {
     if (thread_.joinable()) thread_.join();
 }
 
+void IoThread::tellEnd() {
+    // Gathered first: each may go when it lets go, and others with it.
+    const std::vector<Timed*> all(timed_.begin(), timed_.end());
+    for (Timed* timed : all)
+        if (timed_.contains(timed)) timed->onThreadEnded();
+}
+
 void IoThread::run() {
     this->tick();
     for (;;) {

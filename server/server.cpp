@@ -124,6 +124,7 @@ void Server::stop() {
     context.workers.join();
     // What goes now gives memory back; nobody is left to be told.
     context.batches.forgetWaiting();
+    for (auto& thread : state_->threads) thread->tellEnd();
 }
 
 }  // namespace brickyard

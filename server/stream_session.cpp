@@ -270,6 +270,12 @@ private:
         expireAt(first);
     }
 
+    // A write that never ends holds this session, which holds the write.
+    void onThreadEnded() override {
+        const auto self = shared_from_this();
+        lane().abandon();
+    }
+
     void onDeadline() override {
         if (closing_) return drop("");
         context_.metrics.error("timeout");
