@@ -195,13 +195,17 @@ private:
         // Saves the way back and forth, where there is memory.
         if (!batch && !lane().writing() && !awaiting_memory_)
             batch = OutBatch(granted_ ? std::move(granted_) : context_.batches.take());
-        asio::post(context_.workers,
-                   [self = shared_from_this(), messages = std::move(messages), news,
-                    batch = std::move(batch)]() mutable { self->workOn(messages, news, std::move(batch)); });
+        asio::post(context_.workers, [self = shared_from_this(), messages = std::move(messages), news,
+                                      batch = std::move(batch)]() mutable {
+            StreamSession& session = *self;
+            session.workOn(std::move(self), messages, news, std::move(batch));
+        });
     }
 
-    // On a worker's thread: nothing of the session but talk_ and interrupted_ may be touched.
-    void workOn(const std::deque<std::vector<std::byte>>& messages, bool news, OutBatch batch) {
+    // On a worker's thread: nothing of the session but talk_ and interrupted_ may be touched. Its hold on the
+    // session goes back with what it did: a session must end on its own thread.
+    void workOn(std::shared_ptr<StreamSession> self, const std::deque<std::vector<std::byte>>& messages,
+                bool news, OutBatch batch) {
         const auto began = Clock::now();
         const std::uint64_t wishes_before = talk_.wishCount();
         try {
@@ -218,7 +222,7 @@ private:
         context_.metrics.diskRead(std::chrono::duration<double>(Clock::now() - began).count());
         const bool replaced = talk_.wishCount() != wishes_before;
         asio::post(stream_.get_executor(),
-                   [self = shared_from_this(), replaced, batch = std::move(batch)]() mutable {
+                   [self = std::move(self), replaced, batch = std::move(batch)]() mutable {
                        self->onWorked(replaced, std::move(batch));
                    });
     }
