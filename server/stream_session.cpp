@@ -23,7 +23,7 @@ using ErrorCondition = boost::system::error_code;
 
 constexpr std::size_t kReadBytes = 4u << 10, kKeptReadBytes = 64u << 10;
 // Messages that came and wait for a worker; then no more is read.
-constexpr std::size_t kMaxInbox = 8;
+constexpr std::size_t kMaxInbox = 8, kMaxInboxBytes = 256u << 10;
 // What the socket may hold that the network did not take yet: little, so that a new wish finds little on its
 // way, and enough that the network never waits for us.
 constexpr int kUnsentBytes = 256 << 10;
@@ -94,7 +94,8 @@ private:
     FrameLane& lane() { return stream_.next_layer(); }
 
     void read() {
-        if (reading_ || closing_ || ending_ || backlogged_ || inbox_.size() >= kMaxInbox) return;
+        if (reading_ || closing_ || ending_ || backlogged_) return;
+        if (inbox_.size() >= kMaxInbox || inbox_bytes_ >= kMaxInboxBytes) return;
         reading_ = true;
         stream_.async_read_some(
             in_, kReadBytes,
@@ -116,6 +117,7 @@ private:
             const auto data = in_.cdata();
             const auto* begin = static_cast<const std::byte*>(data.data());
             inbox_.emplace_back(begin, begin + data.size());
+            inbox_bytes_ += data.size();
             interrupted_ = true;
             // A long wish must not hold its memory for the life of the connection.
             in_.clear();
@@ -191,6 +193,7 @@ private:
         interrupted_ = false;
         std::deque<std::vector<std::byte>> messages;
         messages.swap(inbox_);
+        inbox_bytes_ = 0;
         const bool news = std::exchange(news_, false);
         // Saves the way back and forth, where there is memory.
         if (!batch && !lane().writing() && !awaiting_memory_)
@@ -316,6 +319,7 @@ private:
 
     beast::flat_buffer in_;
     std::deque<std::vector<std::byte>> inbox_;
+    std::size_t inbox_bytes_ = 0;  // Invariant: the sum over inbox_
     // Something came that the worker must look at before it reads on.
     std::atomic<bool> interrupted_{false};
     std::optional<std::string> refusal_;

@@ -174,6 +174,27 @@ TEST_F(HostileTest, AnswersTheLastOfTenThousandWishes) {
     EXPECT_LT(most, before + kMostMemory);
 }
 
+// Messages that wait for a worker are memory, too.
+TEST_F(HostileTest, HoldsLittleOfWhatManySayAtOnce) {
+    start({.disk_threads = 1});
+    StreamHeader wish = wishMessage(1, 0);
+    for (int i = 0; i < 50'000; ++i) addPage(wish, {0x10000000, 0x10000000, 0x10000000});
+    const std::string frame = webSocketFrame(textOf(wish));
+    ASSERT_GT(frame.size(), 900'000u);
+    const std::size_t before = residentBytes();
+    std::atomic<std::size_t> most{0};
+    std::vector<std::thread> clients;
+    for (int c = 0; c < 24; ++c)
+        clients.emplace_back([&] {
+            RawStream client(port());
+            if (!client.establish()) return;
+            for (int i = 0; i < 12 && client.socket().send(frame); ++i)
+                most = std::max(most.load(), residentBytes());
+        });
+    for (std::thread& client : clients) client.join();
+    EXPECT_LT(most.load(), before + kMostMemory);
+}
+
 // An answer is owed for each, and nobody reads it.
 TEST_F(HostileTest, DropsFloodsOfQuestionsWhoseAnswersNobodyReads) {
     start({.idle_timeout = seconds(1)});
