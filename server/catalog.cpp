@@ -5,6 +5,8 @@
 #include <sys/stat.h>
 
 #include <algorithm>
+#include <iterator>
+#include <utility>
 
 #include "core/printable_name.h"
 
@@ -143,7 +145,8 @@ Result<std::unique_ptr<Catalog>> Catalog::open(const std::vector<fs::path>& path
     for (const auto& library : catalog->libraries_) {
         Changes found;
         catalog->addFromLibrary(library, found);
-        if (!found.warnings.empty()) return fail(ErrorCode::kInvalid, found.warnings.front());
+        // Told with the first refresh: one that is half there is no reason not to serve the others.
+        std::move(found.warnings.begin(), found.warnings.end(), std::back_inserter(catalog->early_warnings_));
     }
     return catalog;
 }
@@ -304,6 +307,7 @@ Result<ServedFrame> Catalog::frame(const std::string& name, std::optional<std::u
 Catalog::Changes Catalog::refresh() {
     Changes changes;
     const std::lock_guard lock(mutex_);
+    changes.warnings = std::exchange(early_warnings_, {});
     for (auto at = entries_.begin(); at != entries_.end();) {
         auto& [name, entry] = *at;
         look(entry);

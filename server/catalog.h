@@ -100,6 +100,7 @@ private:
     mutable std::mutex mutex_;
     mutable std::map<std::string, Entry> entries_;
     mutable std::list<OpenFrame> frames_;              // most recently asked for first
+    std::vector<std::string> early_warnings_;          // of opening; for the first refresh
     std::map<std::filesystem::path, Stamp> rejected_;  // told once, until they change
 };
 

@@ -53,6 +53,8 @@ public:
     void dropPages();
     // Nothing of the batch that has not begun is sent: the connection closes.
     void dropAll();
+    // Closes, and lets go of whoever waits for a write.
+    void abandon() { state_->abandon(); }
     std::uint64_t sentBytes() const { return state_->sent_total; }
 
 private:

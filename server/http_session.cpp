@@ -159,8 +159,9 @@ private:
                 viewOf(message[http::field::if_none_match]), viewOf(message[http::field::authorization])};
     }
 
-    // On the connection's thread from memory alone, else on a worker's.
-    void answer(ReadMode mode) {
+    // On the connection's thread from memory alone, else on a worker's, which gives its hold on the session
+    // (`held_by_worker`) back with the answer: a session must end on its own thread.
+    void answer(ReadMode mode, std::shared_ptr<HttpSession> held_by_worker = nullptr) {
         std::optional<HttpReply> reply;
         // The rest of the session must go on whatever memory one answer wanted.
         try {
@@ -170,7 +171,9 @@ private:
             reply = answerHttp(request(), services_, mode);
             if (mode == ReadMode::kMayBlock)
                 context_.metrics.diskRead(std::chrono::duration<double>(Clock::now() - began).count());
-        } catch (const std::bad_alloc&) {
+        } catch (const std::exception& error) {
+            // Out of memory, in all likelihood.
+            context_.log.write(LogLevel::err, "request failed", {{"exception", error.what()}});
             reply.emplace();
             reply->status = 503;
             reply->body = "out of memory; try again later\n";
@@ -178,12 +181,15 @@ private:
         }
         if (mode == ReadMode::kMayBlock)
             return asio::post(stream_.get_executor(),
-                              [self = shared_from_this(), held = std::move(*reply)]() mutable {
-                                  self->write(std::move(held));
+                              [self = std::move(held_by_worker), answer = std::move(*reply)]() mutable {
+                                  self->write(std::move(answer));
                               });
         if (reply) return write(std::move(*reply));
         expireNever();  // the disk takes as long as it takes
-        asio::post(context_.workers(), [self = shared_from_this()] { self->answer(ReadMode::kMayBlock); });
+        asio::post(context_.workers(), [self = shared_from_this()]() mutable {
+            HttpSession& session = *self;
+            session.answer(ReadMode::kMayBlock, std::move(self));
+        });
     }
 
     void upgrade() {

@@ -21,6 +21,13 @@ void IoThread::stop() {
     if (thread_.joinable()) thread_.join();
 }
 
+void IoThread::tellEnd() {
+    // Gathered first: each may go when it lets go, and others with it.
+    const std::vector<Timed*> all(timed_.begin(), timed_.end());
+    for (Timed* timed : all)
+        if (timed_.contains(timed)) timed->onThreadEnded();
+}
+
 void IoThread::run() {
     this->tick();
     for (;;) {
@@ -44,7 +51,12 @@ void IoThread::tick() {
     for (Timed* timed : late)
         if (timed_.contains(timed) && timed->deadline_ <= now) {
             timed->deadline_ = Clock::time_point::max();
-            timed->onDeadline();
+            // What one connection throws must not end the ticking for the others.
+            try {
+                timed->onDeadline();
+            } catch (const std::exception& error) {
+                on_exception_(error.what());
+            }
         }
     timer_.expires_after(tick_);
     timer_.async_wait([this](boost::system::error_code error) {

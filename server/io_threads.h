@@ -35,6 +35,9 @@ protected:
     void expireNever() { deadline_ = Clock::time_point::max(); }
     // On the thread, once for each deadline that passed; up to a tick late.
     virtual void onDeadline() = 0;
+    // The thread has ended, and what it was to do is never done: who is held by something of its own must let
+    // go of it. Perhaps on another thread.
+    virtual void onThreadEnded() {}
 
 private:
     friend class IoThread;
@@ -52,6 +55,8 @@ public:
     const std::string& date() const { return date_; }
     // Handlers that have not run yet never will; sessions end with their last handler.
     void stop();
+    // Tells those it watches that it has ended. REQUIRES: stopped, and nobody else uses them.
+    void tellEnd();
 
 private:
     friend class Timed;

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cassert>
-#include <cstring>
 
 namespace brickyard {
 namespace {
@@ -31,9 +30,9 @@ std::span<std::byte> OutBatch::add(std::span<const std::byte> head, std::size_t 
     *at++ = std::byte(length_bytes == 0 ? bytes : length_bytes == 2 ? 126 : 127);
     for (std::size_t i = 0; i < length_bytes; ++i)
         *at++ = std::byte(bytes >> (8 * (length_bytes - 1 - i)) & 0xff);
-    std::memcpy(at, head.data(), head.size());
+    at = std::copy(head.begin(), head.end(), at);
     messages_.push_back({begin, begin + header + bytes, is_page});
-    return {at + head.size(), payload_bytes};
+    return {at, payload_bytes};
 }
 
 std::size_t OutBatch::messageEnd(std::size_t at) const {

@@ -122,6 +122,7 @@ void Server::stop() {
     context.pool->stop();
     context.pool->join();
     context.pool.reset();
+    for (auto& thread : state_->threads) thread->tellEnd();
 }
 
 }  // namespace brickyard

@@ -23,7 +23,7 @@ using ErrorCondition = boost::system::error_code;
 
 constexpr std::size_t kReadBytes = 4u << 10, kKeptReadBytes = 64u << 10;
 // Messages that came and wait for a worker; then no more is read.
-constexpr std::size_t kMaxInbox = 8;
+constexpr std::size_t kMaxInbox = 8, kMaxInboxBytes = 256u << 10;
 // What the socket may hold that the network did not take yet: little, so that a new wish finds little on its
 // way, and enough that the network never waits for us.
 constexpr int kUnsentBytes = 64 << 10;
@@ -95,7 +95,8 @@ private:
     FrameLane& lane() { return stream_.next_layer(); }
 
     void read() {
-        if (reading_ || closing_ || ending_ || backlogged_ || inbox_.size() >= kMaxInbox) return;
+        if (reading_ || closing_ || ending_ || backlogged_) return;
+        if (inbox_.size() >= kMaxInbox || inbox_bytes_ >= kMaxInboxBytes) return;
         reading_ = true;
         stream_.async_read_some(
             in_, kReadBytes,
@@ -117,6 +118,7 @@ private:
             const auto data = in_.cdata();
             const auto* begin = static_cast<const std::byte*>(data.data());
             inbox_.emplace_back(begin, begin + data.size());
+            inbox_bytes_ += data.size();
             interrupted_ = true;
             // A long wish must not hold its memory for the life of the connection.
             in_.clear();
@@ -140,6 +142,11 @@ private:
     // Goes on with whatever can be done now.
     void pump() {
         if (working_ || closing_) return;
+        // A peer that reads nothing does not have news piled up for it.
+        if (late_news_ && !backlogged_) {
+            late_news_ = false;
+            news_ = true;
+        }
         if (refusal_ && !talk_.over()) talk_.refuse(*refusal_);
         if (!inbox_.empty() || news_) return work({});
         if (lane().writing() || awaiting_memory_) return;
@@ -192,36 +199,46 @@ private:
         interrupted_ = false;
         std::deque<std::vector<std::byte>> messages;
         messages.swap(inbox_);
+        inbox_bytes_ = 0;
         const bool news = std::exchange(news_, false);
         // Saves the way back and forth, where there is memory.
         if (!batch && !lane().writing() && !awaiting_memory_)
             batch = OutBatch(granted_ ? std::move(granted_) : context_.batches.take());
-        asio::post(context_.workers(),
-                   [self = shared_from_this(), messages = std::move(messages), news,
-                    batch = std::move(batch)]() mutable { self->workOn(messages, news, std::move(batch)); });
+        asio::post(context_.workers(), [self = shared_from_this(), messages = std::move(messages), news,
+                                        batch = std::move(batch)]() mutable {
+            StreamSession& session = *self;
+            session.workOn(std::move(self), messages, news, std::move(batch));
+        });
     }
 
-    // On a worker's thread: nothing of the session but talk_ and interrupted_ may be touched.
-    void workOn(const std::deque<std::vector<std::byte>>& messages, bool news, OutBatch batch) {
+    // On a worker's thread: nothing of the session but talk_ and interrupted_ may be touched. Its hold on the
+    // session goes back with what it did: a session must end on its own thread.
+    void workOn(std::shared_ptr<StreamSession> self, const std::deque<std::vector<std::byte>>& messages,
+                bool news, OutBatch batch) {
         const auto began = Clock::now();
         const std::uint64_t wishes_before = talk_.wishCount();
+        bool told = false;
         try {
             for (const auto& message : messages)
                 if (!talk_.over()) talk_.receive(message);
-            if (news) talk_.tellNews();
+            told = news && !talk_.backlogged();
+            if (told) talk_.tellNews();
             if (batch)
                 talk_.fill(batch, ReadMode::kMayBlock,
                            [&] { return interrupted_.load(std::memory_order_relaxed); });
-        } catch (const std::bad_alloc&) {
+        } catch (const std::exception& error) {
+            // Out of memory, in all likelihood.
+            context_.log.write(LogLevel::err, "stream failed", {{"id", id_}, {"exception", error.what()}});
             batch = {};
             if (!talk_.over()) talk_.refuseBusy("the server is out of memory; try again later");
         }
         context_.metrics.diskRead(std::chrono::duration<double>(Clock::now() - began).count());
         const bool replaced = talk_.wishCount() != wishes_before;
-        asio::post(stream_.get_executor(),
-                   [self = shared_from_this(), replaced, batch = std::move(batch)]() mutable {
-                       self->onWorked(replaced, std::move(batch));
-                   });
+        asio::post(stream_.get_executor(), [self = std::move(self), replaced, late = news && !told,
+                                            batch = std::move(batch)]() mutable {
+            self->late_news_ = self->late_news_ || late;
+            self->onWorked(replaced, std::move(batch));
+        });
     }
 
     void onWorked(bool replaced, OutBatch batch) {
@@ -235,8 +252,8 @@ private:
         if (talk_.over()) ending_ = true;
         noteAnswers();
         if (batch && !batch.empty()) {
-            // What came meanwhile may be a new wish: then these pages are not sent, and the client, who
-            // counts on nothing, will wish for what it still wants.
+            // What came meanwhile may be a new wish. A worker reads it while these pages go out, and what the
+            // socket has not taken by then is dropped.
             send(std::move(batch));
             if (!inbox_.empty() || news_) pump();
         } else {
@@ -269,6 +286,12 @@ private:
         if (message_began_) first = std::min(first, *message_began_ + options.handshake_timeout);
         if (write_began_) first = std::min(first, *write_began_ + options.idle_timeout);
         expireAt(first);
+    }
+
+    // A write that never ends holds this session, which holds the write.
+    void onThreadEnded() override {
+        const auto self = shared_from_this();
+        lane().abandon();
     }
 
     void onDeadline() override {
@@ -307,6 +330,7 @@ private:
 
     beast::flat_buffer in_;
     std::deque<std::vector<std::byte>> inbox_;
+    std::size_t inbox_bytes_ = 0;  // Invariant: the sum over inbox_
     // Something came that the worker must look at before it reads on.
     std::atomic<bool> interrupted_{false};
     std::optional<std::string> refusal_;
@@ -315,7 +339,8 @@ private:
     const Clock::time_point began_ = Clock::now();
     std::optional<Clock::time_point> write_began_, message_began_;
     std::string why_;  // it ended, for the log
-    bool accepted_ = false, reading_ = false, working_ = false, awaiting_memory_ = false, news_ = false;
+    bool accepted_ = false, reading_ = false, working_ = false, awaiting_memory_ = false, news_ = false,
+         late_news_ = false;
     bool established_ = false, backlogged_ = false;
     bool ending_ = false;   // nothing more is read
     bool closing_ = false;  // nothing more is sent

@@ -16,10 +16,10 @@ namespace fs = std::filesystem;
 using testing::AnyOf;
 using testing::HasSubstr;
 
-// Sanitizers make a forked child that has no threads slow, but not wrong; ThreadSanitizer forbids threads in
-// it.
+// ThreadSanitizer allows no threads in a forked child; UndefinedBehaviorSanitizer opens a pipe to see whether
+// an object is there, and takes one for absent where no descriptor is left.
 #if defined(__has_feature)
-#if __has_feature(thread_sanitizer)
+#if __has_feature(thread_sanitizer) || __has_feature(undefined_behavior_sanitizer)
 #define BRICKYARD_NO_FORK
 #endif
 #endif
