@@ -22,6 +22,7 @@ using ErrorCondition = boost::system::error_code;
 
 // After an error that may last, trying again at once would only burn the processor.
 constexpr std::chrono::milliseconds kPauseAfterError{100};
+constexpr int kMostAtATime = 64;
 
 int openSpare() { return ::open("/dev/null", O_RDONLY | O_CLOEXEC); }
 
@@ -92,8 +93,24 @@ void Listener::accept() {
         if (error == asio::error::operation_aborted) return;
         if (error) return self->onError(error);
         self->serve(std::move(*socket), thread);
+        self->acceptWaiting();
         self->accept();
     });
+}
+
+// Whoever waits as well: one a turn of a busy loop would let a crowd wait for seconds.
+void Listener::acceptWaiting() {
+    ErrorCondition error;
+    acceptor_.non_blocking(true, error);
+    for (int count = 0; count < kMostAtATime; ++count) {
+        IoThread& thread = *threads_[next_thread_ % threads_.size()];
+        ByteStream::Socket socket(thread.io());
+        acceptor_.accept(socket, error);
+        // What is wrong shows at the next turn again.
+        if (error) return;
+        ++next_thread_;
+        serve(std::move(socket), thread);
+    }
 }
 
 void Listener::serve(ByteStream::Socket socket, IoThread& thread) {

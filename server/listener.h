@@ -28,6 +28,7 @@ public:
 
 private:
     void accept();
+    void acceptWaiting();
     void serve(ByteStream::Socket socket, IoThread& thread);
     void onError(boost::system::error_code error);
 
