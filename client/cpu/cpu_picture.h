@@ -94,6 +94,7 @@ private:
     unsigned threads_ = 1;
     std::atomic<std::uint64_t> stuck_{0};
     bool over_budget_ = false;
+    std::uint64_t in_flight_bytes_ = 0;  // of the newest wish: what came in as long as its first page took
 };
 
 inline double secondsSince(std::chrono::steady_clock::time_point begin) {

@@ -19,6 +19,8 @@ constexpr std::size_t kMaxWishPages = 16384;
 // With limits: a batch is a share of what came before, so that the order stays current and round trips stay
 // few.
 constexpr std::uint64_t kLeastBatchBytes = 16u << 10, kBatchShare = 6;
+// At most this much, or as much as came before, is asked for to fill a network that is far.
+constexpr std::uint64_t kMostToFillBytes = 64u << 10;
 
 }  // namespace
 
@@ -26,11 +28,25 @@ constexpr std::uint64_t kLeastBatchBytes = 16u << 10, kBatchShare = 6;
 Result<void> CpuPicture::take(const PageWish& wish) {
     if (Result<void> sent = source_.wish(wish); !sent) return sent;
     cache_->beginPass();
+    const Clock::time_point begin = Clock::now();
+    std::optional<Clock::time_point> first;
+    std::uint64_t before_first = 0;
     while (!late()) {
         Result<std::vector<Arrival>> arrivals = source_.take(deadline());
         if (!arrivals) return tl::unexpected(arrivals.error());
         if (arrivals->empty()) break;
+        if (!first) {
+            first = Clock::now();
+            before_first = source_.counters().bytes_streamed;
+        }
         for (const Arrival& arrival : *arrivals) arrive(arrival);
+    }
+    // What the network carries while an answer is waited for.
+    if (first) {
+        const double wait = std::chrono::duration<double>(*first - begin).count();
+        const double rest = std::max(secondsSince(*first), 1e-6);
+        in_flight_bytes_ =
+            std::uint64_t(wait / rest * double(source_.counters().bytes_streamed - before_first));
     }
     return {};
 }
@@ -148,6 +164,11 @@ Result<void> CpuPicture::refineWithinLimits() {
         asked.transmittance = transmittance;
         asked.failed = [&](const WantedPage& page) { return failed_.contains(page); };
         asked.batch_bytes = std::max<std::uint64_t>(kLeastBatchBytes, streamed / kBatchShare);
+        // Where time counts and bytes do not, no smaller batch than a far network carries in a round trip;
+        // but the order of a large one is soon out of date.
+        if (request_.max_stream_bytes == UINT64_MAX)
+            asked.batch_bytes =
+                std::max(asked.batch_bytes, std::min(in_flight_bytes_, std::max(kMostToFillBytes, streamed)));
         asked.max_bytes = request_.max_stream_bytes - std::min(streamed, request_.max_stream_bytes);
         const PagePlan plan = planPages(*density_, *plan_.camera, residentTree(), asked);
         over_budget_ |= plan.over_budget;

@@ -17,7 +17,7 @@ namespace brickyard {
 
 enum class RaceClient {
     kCameraWish,  // the server finds the pages: the whole view goes with the greeting
-    kOverview,    // what `brickyard render --deadline` does: an overview with the greeting, then its plans
+    kOverview,    // what `brickyard render --max-bytes` does: an overview with the greeting, then its plans
     kOverviewGreedy,  // the same with batches that double, which no program of ours does yet
     kPlans,           // the same plans from the first page on, and nothing with the greeting
     kGreedyPlans,     // the same by who knows that the server is far: batches double, and roots come first
