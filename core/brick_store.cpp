@@ -109,7 +109,7 @@ Result<std::shared_ptr<const BrickStore>> BrickStore::open(const std::filesystem
     store->path_ = file;
     store->descriptor_ = ::open(file.c_str(), O_RDONLY | O_CLOEXEC);
     if (store->descriptor_ < 0) return ioError("open", file, errno);
-    struct stat status{};
+    struct stat status = {};
     if (::fstat(store->descriptor_, &status) != 0) return ioError("stat", file, errno);
     if (!S_ISREG(status.st_mode)) return fail(ErrorCode::kCorrupt, inFile(file, "not a regular file"));
     store->file_bytes_ = std::uint64_t(status.st_size);

@@ -100,7 +100,7 @@ Catalog::Catalog(std::size_t max_open_frames, std::uint64_t block_cache_bytes)
 Catalog::Stamp Catalog::stampOf(const fs::path& folder) {
     // Where the manifest cannot be looked at, the stamp is that of nothing.
     Stamp stamp;
-    struct stat status{};
+    struct stat status = {};
     if (::stat((folder / kManifestName).c_str(), &status) != 0) return stamp;
     stamp.modified = fs::file_time_type(std::chrono::seconds(status.st_mtim.tv_sec) +
                                         std::chrono::nanoseconds(status.st_mtim.tv_nsec));

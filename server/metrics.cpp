@@ -37,7 +37,7 @@ std::uint64_t residentBytes() {
 std::uint64_t openDescriptors() {
     // Since Linux 6.2 the folder's size is their number. Reading ten thousand entries takes milliseconds,
     // which the connections of this thread would wait.
-    struct stat counted{};
+    struct stat counted = {};
     if (stat("/proc/self/fd", &counted) == 0 && counted.st_size > 0) return std::uint64_t(counted.st_size);
     DIR* folder = opendir("/proc/self/fd");
     if (folder == nullptr) return 0;

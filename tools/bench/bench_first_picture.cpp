@@ -30,8 +30,8 @@ constexpr std::size_t kClients = std::size(kRaceClients);
 constexpr std::size_t kOurs = 3;  // the first of kRaceClients; the others are peers
 
 // What is compared: the picture's seconds to each of these.
-constexpr std::optional<RaceMark> RaceRun::* kGoals[] = {&RaceRun::first, &RaceRun::at_30_db,
-                                                         &RaceRun::at_40_db};
+using Goal = std::optional<RaceMark> RaceRun::*;
+constexpr Goal kGoals[] = {&RaceRun::first, &RaceRun::at_30_db, &RaceRun::at_40_db};
 constexpr const char* kGoalNames[] = {"first_picture", "30_db", "40_db"};
 
 // Of one client in one view: the medians.

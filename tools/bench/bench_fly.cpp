@@ -68,8 +68,9 @@ struct Flight {
         }
         return sum;
     }
+    using FrameBytes = std::uint64_t FlyFrame::*;
     // The most in the last third of the frames over the most in the middle third.
-    double growth(std::uint64_t FlyFrame::* bytes) const {
+    double growth(FrameBytes bytes) const {
         const std::size_t third = frames.size() / 3;
         std::uint64_t before = 1, after = 0;
         for (std::size_t i = third; i < 2 * third; ++i) before = std::max(before, frames[i].*bytes);
