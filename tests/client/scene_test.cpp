@@ -2,18 +2,10 @@
 
 #include <gmock/gmock.h>
 
+#include "named_channels.h"
+
 namespace brickyard {
 namespace {
-
-FrameFooter footerWith(std::initializer_list<std::pair<const char*, unsigned>> channels) {
-    FrameFooter footer;
-    for (const auto& [name, components] : channels) {
-        ChannelFooter* channel = footer.add_channels();
-        channel->set_name(name);
-        channel->set_components(components);
-    }
-    return footer;
-}
 
 TEST(SceneTest, DensityIsFoundByNameOrBecauseItIsTheOnlyOne) {
     FrameFooter named = footerWith({{"v", 3}, {"density", 1}, {"heat", 1}});

@@ -6,6 +6,7 @@
 
 #include "core/camera.h"
 #include "core/default_density.h"
+#include "named_channels.h"
 
 namespace brickyard {
 namespace {
@@ -30,16 +31,6 @@ TEST(CameraFraming, SeesAllCornersOfTheBox) {
             EXPECT_LE(std::abs(glm::dot(to, camera->up())), z * camera->halfHeight() * 1.0001);
         }
     }
-}
-
-FrameFooter footerWith(std::initializer_list<std::pair<const char*, unsigned>> channels) {
-    FrameFooter footer;
-    for (const auto& [name, components] : channels) {
-        ChannelFooter* channel = footer.add_channels();
-        channel->set_name(name);
-        channel->set_components(components);
-    }
-    return footer;
 }
 
 TEST(DefaultDensity, IsTheOneOfThatNameOrTheOnlyScalar) {
