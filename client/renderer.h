@@ -4,25 +4,58 @@
 #pragma once
 
 #include <chrono>
+#include <filesystem>
 #include <functional>
 #include <memory>
 #include <optional>
+#include <string>
+#include <vector>
 
 #include "client/brick_source.h"
 #include "client/cpu/render_plan.h"
 #include "client/picture.h"
 #include "client/resident_frame.h"
+#include "client/world_settings.h"
 #include "core/result.h"
 
 namespace brickyard {
 
+// A further frame that a picture reads: of another dataset of the scene, or the next one of the same.
+struct RenderInput {
+    std::string dataset;  // its name in the scene; "" for the command line's
+    BrickSource* source =
+        nullptr;  // drives one frame: another one than the request's own. Outlives the picture
+    std::uint32_t frame = 0;
+    ResidentFrame* kept = nullptr;  // as RenderRequest::kept
+};
+
+// What lies between two frames.
+enum class BetweenFrames : std::uint8_t { kAdvect, kBlend };
+
 struct RenderRequest {
     std::uint32_t frame = 0;
+    // Of the way to the next frame, in [0, 1); above 0 `next` is there. Advection needs a velocity channel; a
+    // medium without one is blended.
+    double between = 0;
+    BetweenFrames between_by = BetweenFrames::kAdvect;
+    std::vector<RenderInput> next;    // of the frame after, one for each dataset that the scene reads
+    std::vector<RenderInput> others;  // the scene's other datasets
+    std::string dataset;              // name of the request's own source in the scene; "" where it has none
+    std::filesystem::path folder;     // where relative names in the scene begin
     std::uint32_t width = 640, height = 480;
     std::optional<Camera> camera;  // absent: the dataset is framed
     Scene scene;
     std::optional<double> density_scale;  // wins over the scene's
     QualitySettings quality;
+    // Multiple scattering by unbiased tracking, `samples` paths a pixel; 0: as many as the error asks for.
+    bool path = false;
+    // Rays a pixel, stratified; 1: its centre. A picture that can be drawn the fast way is, where this is 1.
+    std::uint32_t samples = 1;
+    std::uint64_t seed = 0;
+    std::optional<FieldFilter> filter;    // wins over the scene's
+    std::optional<ShadowMethod> shadows;  // of lights that leave it open
+    // Of the picture's size: rays end at its depth (Z, where above 0). Outlives the picture.
+    const Picture* behind = nullptr;
     std::uint64_t cache_bytes = 1u << 30;
     // What earlier pictures of the frame left, and what this one leaves; begins anew where it is of another
     // frame or budget. nullptr: the picture starts from nothing and keeps nothing. Outlives the picture.
@@ -63,6 +96,8 @@ struct RenderOutcome {
     std::uint64_t tree_bytes = 0;   // octree topology in memory
     PageCacheCounters cache;        // of this picture
     std::uint64_t passes = 0;
+    std::string method;         // how it was drawn: "beams", "march" or "path"
+    std::uint64_t samples = 1;  // most rays of a pixel
 };
 
 class Renderer {

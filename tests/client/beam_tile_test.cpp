@@ -72,7 +72,7 @@ protected:
         request_.density_scale = density_scale;
         const glm::dvec3 to_light = glm::normalize(somewhere(random, -1, 1));
         // All of its light from one side: a radiance of 0.8 at most where scattering has no direction.
-        DirectionalLight* light = request_.scene.add_lights();
+        Light* light = request_.scene.add_lights();
         for (int a = 0; a < 3; ++a) {
             light->add_direction(-to_light[a]);
             light->add_irradiance(float(4 * std::numbers::pi));
@@ -152,7 +152,7 @@ TEST_F(Pictures, AThinHazeInBrightLightHasTheRadianceOfItsDepth) {
     RenderRequest request;
     request.width = request.height = 4;
     request.camera = cameraAt({32.3, 32.4, 200}, {32, 32, 5}, 1);
-    DirectionalLight* light = request.scene.add_lights();
+    Light* light = request.scene.add_lights();
     for (const double d : {0.1, 0.2, -1.0}) light->add_direction(d), light->add_irradiance(1e6f);
     for (int c = 0; c < 3; ++c) request.scene.mutable_medium()->add_albedo(1);
     request.quality.reference = true;

@@ -261,7 +261,7 @@ TEST_F(ErrorBounds, TheTrueScatteredLightIsWithinTheBoundOfRadiance) {
         request.camera = randomCamera(random);
         request.density_scale = std::exp(uniform(random, -4, 0));
         const glm::dvec3 to_light = glm::normalize(somewhere(random, -1, 1));
-        DirectionalLight* light = request.scene.add_lights();
+        Light* light = request.scene.add_lights();
         for (int a = 0; a < 3; ++a) light->add_direction(-to_light[a]), light->add_irradiance(8);
         for (int c = 0; c < 3; ++c) request.scene.mutable_medium()->add_albedo(0.75f);
         const PinholeCamera camera = cameraOf(request);

@@ -139,7 +139,7 @@ TEST_F(KnownAnswers, AWorldTwoToTheKTimesAsLargeHasTheSamePixels) {
         field.setTransform(*Affine::fromColumns(columns));
         RenderRequest view =
             request(cameraAt(glm::dvec3(10, 20, 150) * scale, glm::dvec3(0, 0, 5) * scale), 16, 0.05 / scale);
-        DirectionalLight* light = view.scene.add_lights();
+        Light* light = view.scene.add_lights();
         for (const double d : {-1.0, -1.0, 0.3}) light->add_direction(d);
         view.scene.mutable_medium()->mutable_emission()->set_channel("density");
         view.scene.mutable_medium()->mutable_emission()->set_scale(0.02 / scale);

@@ -175,7 +175,7 @@ TEST_F(RendererTest, ThePictureIsTheSameForAnyCacheAndAnyNumberOfThreads) {
     const FormulaField field = roughBlobField();
     store({&field});
     Scene scene;
-    DirectionalLight* light = scene.add_lights();
+    Light* light = scene.add_lights();
     for (const double d : {-1.0, -1.0, 0.3}) light->add_direction(d);
     std::uint64_t reloads = 0;
     for (const bool lit : {false, true})
@@ -252,7 +252,7 @@ TEST_F(RendererTest, SingleScatteringInAThinSlabFollowsItsFormula) {
     request.width = request.height = 3;
     request.camera = camera({32, 32, 100}, {32, 32, 5}, 0.5);
     request.density_scale = 0.05;
-    DirectionalLight* light = request.scene.add_lights();
+    Light* light = request.scene.add_lights();
     for (const double d : {0.0, 0.0, -1.0}) light->add_direction(d);  // from behind the camera
     for (int c = 0; c < 3; ++c) light->add_irradiance(2), request.scene.mutable_medium()->add_albedo(0.5f);
     request.quality.reference = true;

@@ -38,7 +38,7 @@ protected:
         return request;
     }
     static RenderRequest lit(RenderRequest request) {
-        DirectionalLight* light = request.scene.add_lights();
+        Light* light = request.scene.add_lights();
         for (const double d : {-1.0, -1.0, 0.3}) light->add_direction(d);
         return request;
     }

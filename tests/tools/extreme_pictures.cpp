@@ -128,7 +128,7 @@ private:
         for (const NamedQuality& quality : {kQualities[0], kQualities[1]}) {
             RenderRequest lit = request(quality.settings, scale);
             lit.width = lit.height = 4;
-            DirectionalLight* light = lit.scene.add_lights();
+            Light* light = lit.scene.add_lights();
             for (const double d : {0.3, -1.0, 0.2}) light->add_direction(d);
             Emission* emission = lit.scene.mutable_medium()->mutable_emission();
             emission->set_channel(source_.info().name);

@@ -110,7 +110,7 @@ private:
         RenderRequest request = brickyard::requestOf(subject, *framing, options_.size, feature.quality);
         request.repeats = 1;
         if (feature.light) {
-            DirectionalLight& light = *request.scene.add_lights();
+            Light& light = *request.scene.add_lights();
             for (const double d : {-0.4, 0.3, -0.85}) light.add_direction(d);
             for (int c = 0; c < 3; ++c) light.add_irradiance(10);
         }

@@ -36,7 +36,7 @@ RenderRequest litRequest(const BenchSubject& subject, const BenchView& view, std
                          const QualitySettings& quality, const LitScene& lit) {
     RenderRequest request = requestOf(subject, view, size, quality);
     for (int c = 0; c < 3; ++c) request.scene.mutable_medium()->add_albedo(float(kAlbedo));
-    DirectionalLight& light = *request.scene.add_lights();
+    Light& light = *request.scene.add_lights();
     for (int a = 0; a < 3; ++a) {
         light.add_direction(-lit.to_light[a]);
         light.add_irradiance(float(irradiance()));
