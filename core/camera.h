@@ -20,7 +20,9 @@ public:
     // 180)).
     static Result<PinholeCamera> create(const Camera& camera, std::uint32_t width, std::uint32_t height);
 
-    WorldRay ray(std::uint32_t x, std::uint32_t y) const { return rayThrough(double(x) + 0.5, double(y) + 0.5); }
+    WorldRay ray(std::uint32_t x, std::uint32_t y) const {
+        return rayThrough(double(x) + 0.5, double(y) + 0.5);
+    }
     // Of a place in the picture, in pixels from its upper left corner.
     WorldRay rayThrough(double x, double y) const;
     // The same view from elsewhere.

@@ -96,10 +96,9 @@ void ChannelReader::find(const NodeKey& key, const glm::dvec3& position, Entry& 
         if (ref.node >= block->nodeCount()) return;  // a block that lies about its roots: nothing there
         const NodeRecord& record = block->record(ref.node);
         const PageAddress page{channel_->index(), ref.block, ref.node, false};
-        const bool stays =
-            at.level <= key.level || at.level == 0 || block->isLeaf(ref.node) ||
-            effectiveSquare(double(record.rms), double(record.bound)) * cellEdge(at.level) <=
-                accuracy_.square_budget;
+        const bool stays = at.level <= key.level || at.level == 0 || block->isLeaf(ref.node) ||
+                           effectiveSquare(double(record.rms), double(record.bound)) * cellEdge(at.level) <=
+                               accuracy_.square_budget;
         if (stays || record.hasBrick()) {
             const float* samples = record.hasBrick() ? context_->cache->find(page) : nullptr;
             if (samples || (stays && !record.hasBrick())) {
@@ -121,8 +120,7 @@ void ChannelReader::find(const NodeKey& key, const glm::dvec3& position, Entry& 
             }
         }
         // On to the child that holds the position.
-        const glm::dvec3 middle =
-            nodeLow(at, channel_->shape()) + 0.5 * nodeEdge(at, channel_->shape());
+        const glm::dvec3 middle = nodeLow(at, channel_->shape()) + 0.5 * nodeEdge(at, channel_->shape());
         const int octant =
             int(position.x >= middle.x) | int(position.y >= middle.y) << 1 | int(position.z >= middle.z) << 2;
         const unsigned valid = block->validMask(ref.node);
@@ -144,9 +142,7 @@ const ChannelReader::Entry& ChannelReader::entryAt(int level, const glm::dvec3& 
     return entry;
 }
 
-int ChannelReader::clampLevel(double lod) const {
-    return std::clamp(int(lod), 0, top_level_);
-}
+int ChannelReader::clampLevel(double lod) const { return std::clamp(int(lod), 0, top_level_); }
 
 double ChannelReader::trilinear(const Entry& entry, const glm::dvec3& position, int component) const {
     if (!entry.samples) return double(entry.constant[component]);
@@ -156,7 +152,8 @@ double ChannelReader::trilinear(const Entry& entry, const glm::dvec3& position, 
     const double x = (position.x - entry.low.x) * entry.per_cell,
                  y = (position.y - entry.low.y) * entry.per_cell,
                  z = (position.z - entry.low.z) * entry.per_cell;
-    const int i = std::clamp(int(x), 0, last), j = std::clamp(int(y), 0, last), k = std::clamp(int(z), 0, last);
+    const int i = std::clamp(int(x), 0, last), j = std::clamp(int(y), 0, last),
+              k = std::clamp(int(z), 0, last);
     const double fx = x - i, fy = y - j, fz = z - k;
     const std::size_t sy = std::size_t(shape.edgeSamples()), sz = sy * sy;
     const float* c = samples + shape.sampleAt(i, j, k);
@@ -191,8 +188,8 @@ double ChannelReader::filtered(const Entry& entry, int level, const glm::dvec3& 
             double sum = 0;
             for (int k = 0; k < 4; ++k)
                 for (int j = 0; j < 4; ++j) {
-                    const float* row = samples + shape.sampleAt(int(local[0]), int(local[1]) + j,
-                                                                int(local[2]) + k);
+                    const float* row =
+                        samples + shape.sampleAt(int(local[0]), int(local[1]) + j, int(local[2]) + k);
                     double line = 0;
                     for (int i = 0; i < 4; ++i) line += weights[0][i] * double(row[i]);
                     sum += weights[2][k] * weights[1][j] * line;

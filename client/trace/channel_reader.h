@@ -1,10 +1,10 @@
 // A channel of a frame at any point of index space, on any level of detail, through any kernel: finds the
 // bricks that are resident, and wants those that are not.
 //
-// Level l of detail is the field of that level; between two levels the fields are blended, so that what is seen
-// changes smoothly with the distance. Where a node stands for what is below it (a leaf, or a deviation that does
-// not matter), its own field is taken: stored data alone decides, never what happens to be resident. A kernel
-// reaches over brick borders into the neighbours.
+// Level l of detail is the field of that level; between two levels the fields are blended, so that what is
+// seen changes smoothly with the distance. Where a node stands for what is below it (a leaf, or a deviation
+// that does not matter), its own field is taken: stored data alone decides, never what happens to be
+// resident. A kernel reaches over brick borders into the neighbours.
 //
 // One reader belongs to one thread and one pass (pages move between passes).
 #pragma once
@@ -39,8 +39,8 @@ public:
     glm::dvec3 vector(const glm::dvec3& position, double lod);
     // Per index unit: central differences over one cell of the level.
     glm::dvec3 gradient(const glm::dvec3& position, double lod);
-    // Edge, in index units, of the cells in which value() is smooth about the position: of the finer of the two
-    // levels that are blended there, or of the node that stands for it.
+    // Edge, in index units, of the cells in which value() is smooth about the position: of the finer of the
+    // two levels that are blended there, or of the node that stands for it.
     double cellEdgeAt(const glm::dvec3& position, double lod);
     // Variance per index unit of a ray that value() may be off by there.
     double squareAt(const glm::dvec3& position, double lod);
@@ -55,13 +55,13 @@ public:
 private:
     // A node's region and what stands for it.
     struct Entry {
-        NodeKey key{-1, 0, 0, 0};          // as asked for; level -1: empty
-        glm::dvec3 low{0};                 // of the node that is drawn
-        double per_cell = 1;               // cells per index unit
-        const float* samples = nullptr;    // nullptr: constant
+        NodeKey key{-1, 0, 0, 0};        // as asked for; level -1: empty
+        glm::dvec3 low{0};               // of the node that is drawn
+        double per_cell = 1;             // cells per index unit
+        const float* samples = nullptr;  // nullptr: constant
         float constant[3] = {};
-        double edge = 1;                   // of its cells, index units
-        double square = 0;                 // variance per index unit
+        double edge = 1;    // of its cells, index units
+        double square = 0;  // variance per index unit
         bool missing = false;
     };
     const Entry& entryAt(int level, const glm::dvec3& position);

@@ -22,12 +22,9 @@ inline void filterWeights(FieldFilter filter, double t, double (&weights)[4]) {
         }
     };
     switch (filter) {
-        case FieldFilter::kBSpline:
-            return cubic(1, 0);
-        case FieldFilter::kCatmullRom:
-            return cubic(0, 0.5);
-        case FieldFilter::kMitchell:
-            return cubic(1.0 / 3, 1.0 / 3);
+        case FieldFilter::kBSpline: return cubic(1, 0);
+        case FieldFilter::kCatmullRom: return cubic(0, 0.5);
+        case FieldFilter::kMitchell: return cubic(1.0 / 3, 1.0 / 3);
         case FieldFilter::kGaussian: {
             double sum = 0;
             for (int i = 0; i < 4; ++i) {

@@ -42,8 +42,7 @@ Reach LightReach::of(std::size_t index, const LightArrival& arrival, const glm::
                      double time) {
     const TracedLight& light = reader_.world.lights[index];
     switch (light.shadows) {
-        case ShadowMethod::kNone:
-            return {};
+        case ShadowMethod::kNone: return {};
         case ShadowMethod::kBaked:
             if (light.baked < reader_.baked.size() && reader_.baked[light.baked]) {
                 ChannelReader& channel = *reader_.baked[light.baked];
@@ -58,8 +57,7 @@ Reach LightReach::of(std::size_t index, const LightArrival& arrival, const glm::
                 if (const std::optional<Reach> reach = maps_->at(index, point)) return *reach;
             break;
         case ShadowMethod::kAuto:
-        case ShadowMethod::kExact:
-            break;
+        case ShadowMethod::kExact: break;
     }
     return along({point, arrival.to_light}, arrival.distance, lod, time);
 }

@@ -1,4 +1,5 @@
-// What of a light reaches a point: by a ray (exact), from a deep shadow map, or from a baked channel. One thread.
+// What of a light reaches a point: by a ray (exact), from a deep shadow map, or from a baked channel. One
+// thread.
 #pragma once
 
 #include <limits>
@@ -30,7 +31,8 @@ public:
         : reader_(reader), surfaces_(surfaces), maps_(maps) {}
 
     // `light`: index in TracedWorld::lights.
-    Reach of(std::size_t light, const LightArrival& arrival, const glm::dvec3& point, double lod, double time);
+    Reach of(std::size_t light, const LightArrival& arrival, const glm::dvec3& point, double lod,
+             double time);
     // Along a ray, by a march.
     Reach along(const WorldRay& ray, double distance, double lod, double time);
 

@@ -1,6 +1,6 @@
-// Upper bounds of a medium's extinction and emission, cell by cell of a coarse grid over its box: what unbiased
-// tracking needs, and what empty space is skipped with. Made from topology; then immutable: any thread.
-// Novak et al. Monte Carlo Methods for Volumetric Light Transport Simulation. 2018, section 5.
+// Upper bounds of a medium's extinction and emission, cell by cell of a coarse grid over its box: what
+// unbiased tracking needs, and what empty space is skipped with. Made from topology; then immutable: any
+// thread. Novak et al. Monte Carlo Methods for Volumetric Light Transport Simulation. 2018, section 5.
 #pragma once
 
 #include <cstdint>
@@ -21,7 +21,8 @@ struct MajorantCell {
 class MajorantGrid {
 public:
     MajorantGrid() = default;
-    // Covers [low, high] of index space by cells of `cell_edge`, aligned to its multiples. REQUIRES: low < high.
+    // Covers [low, high] of index space by cells of `cell_edge`, aligned to its multiples. REQUIRES: low <
+    // high.
     MajorantGrid(const glm::dvec3& low, const glm::dvec3& high, double cell_edge);
 
     // Longest edge in cells that a grid has.
@@ -48,8 +49,8 @@ private:
     std::vector<MajorantCell> cells_;
 };
 
-// Where a ray crosses the next plane of the lattice {(k + shift) * edge} on any axis, behind `t` by more than a
-// rounding.
+// Where a ray crosses the next plane of the lattice {(k + shift) * edge} on any axis, behind `t` by more than
+// a rounding.
 inline double nextLatticePlane(const IndexRay& ray, double t, double edge, double shift = 0) {
     const double nudge = 1e-7 * edge * ray.unitLength();
     double next = std::numeric_limits<double>::infinity();

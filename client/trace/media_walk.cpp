@@ -11,7 +11,8 @@ WorldReader::WorldReader(const TracedWorld& traced, std::span<const RayContext> 
     baked.resize(traced.baked.size());
     for (std::size_t i = 0; i < baked.size(); ++i)
         if (const TracedChannel& channel = traced.baked[i])
-            baked[i].emplace(*channel.channel, FieldFilter::kTrilinear, ReadAccuracy{}, contexts[channel.frame]);
+            baked[i].emplace(*channel.channel, FieldFilter::kTrilinear, ReadAccuracy{},
+                             contexts[channel.frame]);
 }
 
 bool WorldReader::takeMissed() {
@@ -80,14 +81,16 @@ bool MediaWalk::next(RaySpan& stretch) {
     return false;
 }
 
-double stretchDepth(MediumReader& reader, const MediaWalk& walk, std::size_t m, RaySpan stretch, double time) {
+double stretchDepth(MediumReader& reader, const MediaWalk& walk, std::size_t m, RaySpan stretch,
+                    double time) {
     const double length = stretch.end - stretch.begin;
     const MediumSettings& settings = *reader.medium().settings;
     if (settings.transfer) {
         double values[3];
         for (int i = 0; i < 3; ++i)
             // Not on the border itself: the next cell may be background.
-            values[i] = reader.density(walk.at(stretch.begin + length * (0.001 + 0.499 * i)), walk.lod(m), time);
+            values[i] =
+                reader.density(walk.at(stretch.begin + length * (0.001 + 0.499 * i)), walk.lod(m), time);
         return settings.density_scale * length * 0.5 *
                (settings.transfer->mean(values[0], values[1]).opacity +
                 settings.transfer->mean(values[1], values[2]).opacity);
@@ -97,8 +100,8 @@ double stretchDepth(MediumReader& reader, const MediaWalk& walk, std::size_t m, 
     return 0.5 * (a + b) * length;
 }
 
-double opticalDepth(WorldReader& reader, const WorldRay& ray, RaySpan span, double lod, double time, double enough,
-                    double* variance) {
+double opticalDepth(WorldReader& reader, const WorldRay& ray, RaySpan span, double lod, double time,
+                    double enough, double* variance) {
     MediaWalk walk(reader, ray, span, lod);
     double depth = 0;
     for (RaySpan stretch; depth < enough && walk.next(stretch);)
@@ -107,8 +110,8 @@ double opticalDepth(WorldReader& reader, const WorldRay& ray, RaySpan span, doub
             depth += stretchDepth(reader.media[m], walk, m, stretch, time);
             if (variance)
                 *variance += (stretch.end - stretch.begin) *
-                             reader.media[m].depthVariance(walk.at(0.5 * (stretch.begin + stretch.end)), walk.lod(m),
-                                                           walk.indexRay(m).unitLength());
+                             reader.media[m].depthVariance(walk.at(0.5 * (stretch.begin + stretch.end)),
+                                                           walk.lod(m), walk.indexRay(m).unitLength());
         }
     return depth;
 }

@@ -1,5 +1,5 @@
-// The media along a ray, in stretches on which each of them is smooth: no stretch crosses a cell of a field, and
-// what is empty is passed over. One thread.
+// The media along a ray, in stretches on which each of them is smooth: no stretch crosses a cell of a field,
+// and what is empty is passed over. One thread.
 #pragma once
 
 #include <limits>
@@ -63,9 +63,10 @@ inline constexpr double kGaussPoint = 0.21132486540518711775;  // (1 - 1/sqrt(3)
 
 // Optical depth of all media along a stretch of a ray; its variance is added to `variance`. Stops behind
 // `enough`.
-double opticalDepth(WorldReader& reader, const WorldRay& ray, RaySpan span, double lod, double time, double enough,
-                    double* variance);
+double opticalDepth(WorldReader& reader, const WorldRay& ray, RaySpan span, double lod, double time,
+                    double enough, double* variance);
 // Of one stretch that a walk gave, of one medium.
-double stretchDepth(MediumReader& medium, const MediaWalk& walk, std::size_t index, RaySpan stretch, double time);
+double stretchDepth(MediumReader& medium, const MediaWalk& walk, std::size_t index, RaySpan stretch,
+                    double time);
 
 }  // namespace brickyard

@@ -121,7 +121,8 @@ double MediumReader::cellEdge(const glm::dvec3& point, double lod) {
 double MediumReader::depthVariance(const glm::dvec3& point, double lod, double unit_length) {
     const double scale = medium_->settings->density_scale;
     // Per index unit of length, in index units squared: twice to world units.
-    return now_.density->squareAt(medium_->transform().inversePoint(point), lod) * scale * scale * unit_length;
+    return now_.density->squareAt(medium_->transform().inversePoint(point), lod) * scale * scale *
+           unit_length;
 }
 
 bool MediumReader::takeMissed() {

@@ -1,4 +1,5 @@
-// A medium at any point and moment: extinction, albedo, emission. One reader belongs to one thread and one pass.
+// A medium at any point and moment: extinction, albedo, emission. One reader belongs to one thread and one
+// pass.
 #pragma once
 
 #include <optional>
@@ -24,8 +25,8 @@ public:
     glm::dvec3 albedo(const glm::dvec3& point, double lod, double time);
     // Of the density, per world unit.
     glm::dvec3 gradient(const glm::dvec3& point, double lod, double time);
-    // As ChannelReader: of the density, in index units; and its variance as optical depth, per world unit of a
-    // ray in the direction of which an index unit has `unit_length`.
+    // As ChannelReader: of the density, in index units; and its variance as optical depth, per world unit of
+    // a ray in the direction of which an index unit has `unit_length`.
     double cellEdge(const glm::dvec3& point, double lod);
     double depthVariance(const glm::dvec3& point, double lod, double unit_length);
 

@@ -22,7 +22,8 @@ double greatest(const glm::dvec3& v) { return std::max({v.x, v.y, v.z}); }
 double trackedMajorant(const TracedMedium& medium, const MajorantCell& cell) {
     double majorant = double(cell.extinction);
     if (cell.emission > 0)
-        majorant = std::max(majorant, kGlowSamples / (medium.majorants.cellEdge() * medium.transform().voxelSize()));
+        majorant =
+            std::max(majorant, kGlowSamples / (medium.majorants.cellEdge() * medium.transform().voxelSize()));
     return majorant;
 }
 
@@ -118,7 +119,9 @@ PathWalk::Event PathWalk::fly(Walk& walk, const WorldRay& ray) {
                 const double extinction = medium.extinction(point, walk.lod, walk.time);
                 if (medium.medium().settings->transfer && extinction > 0)
                     walk.radiance += walk.weight * extinction / majorant *
-                                     medium.medium().settings->transfer->at(medium.density(point, walk.lod, walk.time)).color;
+                                     medium.medium()
+                                         .settings->transfer->at(medium.density(point, walk.lod, walk.time))
+                                         .color;
                 if (pick < extinction) {
                     event = {Event::Kind::kMedium, t, m, {}};
                     collided = true;
@@ -131,8 +134,8 @@ PathWalk::Event PathWalk::fly(Walk& walk, const WorldRay& ray) {
     return event;
 }
 
-// Light that comes straight from lights to a point of a medium and is scattered into `direction` (the way a walk
-// came, on from the eye).
+// Light that comes straight from lights to a point of a medium and is scattered into `direction` (the way a
+// walk came, on from the eye).
 void PathWalk::lightMedium(Walk& walk, std::size_t m, const glm::dvec3& point, const glm::dvec3& direction) {
     const TracedWorld& world = reader_.world;
     const PhaseFunction& phase = world.media[m].settings->phase;
@@ -158,13 +161,15 @@ void PathWalk::lightMedium(Walk& walk, std::size_t m, const glm::dvec3& point, c
         const LightArrival arrival = arrivalAt(light, point);
         if (greatest(arrival.irradiance) == 0) continue;
         const double scattered = phase(glm::dot(arrival.to_light, direction));
-        const double open =
-            light.shadows == ShadowMethod::kNone ? 1 : openTo(walk, {point, arrival.to_light}, arrival.distance);
+        const double open = light.shadows == ShadowMethod::kNone
+                                ? 1
+                                : openTo(walk, {point, arrival.to_light}, arrival.distance);
         walk.radiance += factor * scattered * open * walk.weight * arrival.irradiance;
     }
 }
 
-void PathWalk::lightSurface(Walk& walk, const PlacedHit& hit, const glm::dvec3& point, const glm::dvec3& normal) {
+void PathWalk::lightSurface(Walk& walk, const PlacedHit& hit, const glm::dvec3& point,
+                            const glm::dvec3& normal) {
     const TracedWorld& world = reader_.world;
     const glm::dvec3 reflected = world.surfaces[hit.surface].settings->color / std::numbers::pi;
     walk.light_odds = 1;
@@ -176,8 +181,9 @@ void PathWalk::lightSurface(Walk& walk, const PlacedHit& hit, const glm::dvec3& 
             const double cosine = glm::dot(pick.direction, normal);
             if (!(pick.density > 0) || !(cosine > 0)) continue;
             const double open = openTo(walk, {point, pick.direction}, kInfinity);
-            walk.radiance += walk.weight * reflected * pick.radiance *
-                             (cosine / pick.density * balance(pick.density, cosine / std::numbers::pi) * open);
+            walk.radiance +=
+                walk.weight * reflected * pick.radiance *
+                (cosine / pick.density * balance(pick.density, cosine / std::numbers::pi) * open);
             continue;
         }
         const LightArrival arrival = arrivalAt(light, point);
@@ -203,10 +209,9 @@ void PathWalk::scatterFrom(Walk& walk) {
         if (event.kind == Event::Kind::kEscaped) {
             for (const WorldLight& light : world.settings.lights) {
                 if (light.kind != WorldLight::Kind::kEnvironment) continue;
-                const double other =
-                    light.environment->constant()
-                        ? 0
-                        : walk.light_odds * light.environment->density(walk.ray.direction);
+                const double other = light.environment->constant()
+                                         ? 0
+                                         : walk.light_odds * light.environment->density(walk.ray.direction);
                 walk.radiance += walk.weight * light.environment->radiance(walk.ray.direction) *
                                  balance(walk.direction_density, other);
             }

@@ -1,9 +1,9 @@
-// Multiple scattering by unbiased random walks. The camera ray is integrated exactly (opacity and emission have
-// no noise) and the walk begins at a point picked along it; from there flights are sampled by delta tracking and
-// shadows estimated by ratio tracking, under the majorants of the bricks (Woodcock et al. 1965; Novak, Selle,
-// Jarosz. Residual Ratio Tracking. 2014; Novak et al. Monte Carlo Methods for Volumetric Light Transport
-// Simulation. 2018). Emission met on the way is counted at every tentative collision. Walks end by Russian
-// roulette, or behind `most_bounces`. Deterministic for a seed. One thread, one pass.
+// Multiple scattering by unbiased random walks. The camera ray is integrated exactly (opacity and emission
+// have no noise) and the walk begins at a point picked along it; from there flights are sampled by delta
+// tracking and shadows estimated by ratio tracking, under the majorants of the bricks (Woodcock et al. 1965;
+// Novak, Selle, Jarosz. Residual Ratio Tracking. 2014; Novak et al. Monte Carlo Methods for Volumetric Light
+// Transport Simulation. 2018). Emission met on the way is counted at every tentative collision. Walks end by
+// Russian roulette, or behind `most_bounces`. Deterministic for a seed. One thread, one pass.
 #pragma once
 
 #include "client/trace/random.h"

@@ -15,7 +15,9 @@ constexpr double kHeadlightAmbient = 0.25;
 double greatest(const glm::dvec3& v) { return std::max({v.x, v.y, v.z}); }
 
 // (1 - exp(-x)) / x
-double meanTransmittance(double depth) { return depth < 1e-6 ? 1 - 0.5 * depth : -std::expm1(-depth) / depth; }
+double meanTransmittance(double depth) {
+    return depth < 1e-6 ? 1 - 0.5 * depth : -std::expm1(-depth) / depth;
+}
 
 }  // namespace
 
@@ -31,8 +33,8 @@ struct RayMarch::Ray {
 };
 
 // In-scattered radiance times 4 pi-normalised phase, before the albedo.
-glm::dvec3 RayMarch::scattered(std::size_t m, const glm::dvec3& point, const glm::dvec3& direction, double lod,
-                               double time, double& variance) {
+glm::dvec3 RayMarch::scattered(std::size_t m, const glm::dvec3& point, const glm::dvec3& direction,
+                               double lod, double time, double& variance) {
     const MediumSettings& settings = *reader_.world.media[m].settings;
     glm::dvec3 sum(0);
     for (std::size_t l = 0; l < reader_.world.lights.size(); ++l) {
@@ -59,7 +61,8 @@ double RayMarch::shading(std::size_t m, const glm::dvec3& point, const glm::dvec
     if (!(length > 0)) return amount;
     const glm::dvec3 normal = slope / length;
     if (reader_.world.lights.empty()) {
-        light = glm::dvec3(kHeadlightAmbient + (1 - kHeadlightAmbient) * std::abs(glm::dot(normal, direction)));
+        light =
+            glm::dvec3(kHeadlightAmbient + (1 - kHeadlightAmbient) * std::abs(glm::dot(normal, direction)));
         return amount;
     }
     // Towards the eye, so that a shell is lit on the side that is seen.
@@ -80,7 +83,8 @@ void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
     const double time = ray.time;
     double depth = 0, variance = 0, light_variance = 0;
     glm::dvec3 source(0), spread(0);  // radiance of the stretch if nothing were in front of it within it
-    const glm::dvec3 at[2] = {walk.at(span.begin + kGaussPoint * length), walk.at(span.end - kGaussPoint * length)};
+    const glm::dvec3 at[2] = {walk.at(span.begin + kGaussPoint * length),
+                              walk.at(span.end - kGaussPoint * length)};
     const glm::dvec3 middle = walk.at(0.5 * (span.begin + span.end));
     for (std::size_t m = 0; m < walk.mediumCount(); ++m) {
         if (!walk.active(m)) continue;
@@ -94,7 +98,8 @@ void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
                 for (int i = 0; i < 3; ++i)
                     values[i] = reader.density(walk.at(span.begin + length * (0.001 + 0.499 * i)), lod, time);
                 for (int half = 0; half < 2; ++half) {
-                    const TransferFunction::Sample mean = settings.transfer->mean(values[half], values[half + 1]);
+                    const TransferFunction::Sample mean =
+                        settings.transfer->mean(values[half], values[half + 1]);
                     const double part = settings.density_scale * mean.opacity * 0.5 * length;
                     own += part;
                     source += part * mean.color;
@@ -110,7 +115,8 @@ void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
                     const glm::dvec3 albedo = reader.albedo(middle, lod, time);
                     if (greatest(albedo) > 0) {
                         double deviation = 0;
-                        source += own * albedo * scattered(m, middle, ray.ray.direction, lod, time, deviation);
+                        source +=
+                            own * albedo * scattered(m, middle, ray.ray.direction, lod, time, deviation);
                         light_variance += own * own * deviation;
                     }
                 }
@@ -129,8 +135,8 @@ void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
         ray.steps->push_back({span, ray.transmittance, depth, -std::expm1(-depth), false, {}});
     const double weight = ray.transmittance * meanTransmittance(depth);
     ray.out.radiance += weight * source;
-    // What the levels of detail may change of what lies in front, and in here; and what the midpoint of a light
-    // that changes within the stretch may be off by.
+    // What the levels of detail may change of what lies in front, and in here; and what the midpoint of a
+    // light that changes within the stretch may be off by.
     const double share = depth > 0 ? 1 : 0;
     const glm::dvec3 per_depth = depth > 0 ? source / depth : glm::dvec3(0);
     ray.out.radiance_variance +=
@@ -215,15 +221,17 @@ RaySample RayMarch::march(const WorldRay& world_ray, double end, double time, st
 
     ray.out.alpha = 1 - ray.transmittance;
     ray.out.alpha_variance = ray.transmittance * ray.transmittance * ray.depth_variance;
-    ray.out.radiance_variance += std::pow(greatest(ray.out.radiance), 2) * ray.depth_variance *
-                                 ray.transmittance;
+    ray.out.radiance_variance +=
+        std::pow(greatest(ray.out.radiance), 2) * ray.depth_variance * ray.transmittance;
     double previous = 0;
     for (const Mark& mark : marks_) {
         if (2 * mark.alpha >= ray.out.alpha && mark.alpha > 0) {
             const double rise = mark.alpha - mark.alpha_before;
-            const double part = rise > 0 ? std::clamp((0.5 * ray.out.alpha - mark.alpha_before) / rise, 0.0, 1.0) : 1;
+            const double part =
+                rise > 0 ? std::clamp((0.5 * ray.out.alpha - mark.alpha_before) / rise, 0.0, 1.0) : 1;
             // A surface rises at one place; a stretch is short.
-            ray.out.depth = previous > 0 && mark.t > previous ? previous + part * (mark.t - previous) : mark.t;
+            ray.out.depth =
+                previous > 0 && mark.t > previous ? previous + part * (mark.t - previous) : mark.t;
             break;
         }
         previous = mark.t;

@@ -13,8 +13,8 @@ namespace brickyard {
 struct RaySample {
     glm::dvec3 radiance{0};
     double alpha = 0;
-    double depth = 0;               // where half the final opacity is reached; 0 where empty
-    double alpha_variance = 0;      // of the expected error, from levels of detail
+    double depth = 0;           // where half the final opacity is reached; 0 where empty
+    double alpha_variance = 0;  // of the expected error, from levels of detail
     double radiance_variance = 0;
 };
 
@@ -34,8 +34,8 @@ public:
     RayMarch(WorldReader& reader, LightReach& lights, SurfaceHits* surfaces)
         : reader_(reader), lights_(lights), surfaces_(surfaces) {}
 
-    // As far as `end`. With `steps`: no light scatters and no surface is lit (the caller sees to that), and what
-    // could is written there. `seed` turns the directions of ambient occlusion.
+    // As far as `end`. With `steps`: no light scatters and no surface is lit (the caller sees to that), and
+    // what could is written there. `seed` turns the directions of ambient occlusion.
     RaySample march(const WorldRay& ray, double end, double time, std::uint64_t seed,
                     std::vector<MarchStep>* steps = nullptr);
 

@@ -20,7 +20,8 @@ const std::vector<PlacedHit>& SurfaceHits::along(const WorldRay& ray, RaySpan sp
         const IndexRay index(ray, tracers_[s].channel().transform());
         found_.clear();
         const std::size_t most = settings.opacity >= 1 ? 1 : kMostCrossings;
-        missed_ |= tracers_[s].crossings(index, span, context, most, found_) == SurfaceTracer::Found::kMissing;
+        missed_ |=
+            tracers_[s].crossings(index, span, context, most, found_) == SurfaceTracer::Found::kMissing;
         for (const SurfaceHit& hit : found_) hits_.push_back({s, hit});
     }
     std::stable_sort(hits_.begin(), hits_.end(),
@@ -45,7 +46,8 @@ double SurfaceHits::openness(const WorldRay& ray, RaySpan span) {
         if (rest.empty()) continue;
         found_.clear();
         const std::size_t most = settings.opacity >= 1 ? 1 : kMostCrossings;
-        missed_ |= tracers_[s].crossings(index, rest, context, most, found_) == SurfaceTracer::Found::kMissing;
+        missed_ |=
+            tracers_[s].crossings(index, rest, context, most, found_) == SurfaceTracer::Found::kMissing;
         for (std::size_t i = 0; i < found_.size(); ++i) open *= 1 - settings.opacity;
     }
     return open;
@@ -55,8 +57,8 @@ glm::dvec3 SurfaceHits::normal(const PlacedHit& hit, const glm::dvec3& direction
     const TracedSurface& surface = world_.surfaces[hit.surface];
     glm::dvec3 normal;
     missed_ |= tracers_[hit.surface].normal(hit.hit, direction, surface.settings->normal_filter,
-                                            contexts_[surface.channel.frame], normal) ==
-               SurfaceTracer::Found::kMissing;
+                                            contexts_[surface.channel.frame],
+                                            normal) == SurfaceTracer::Found::kMissing;
     return glm::dot(normal, direction) > 0 ? -normal : normal;
 }
 
@@ -65,8 +67,8 @@ double SurfaceHits::ambient(const PlacedHit& hit, const glm::dvec3& normal, std:
     const TracedSurface& surface = world_.surfaces[hit.surface];
     if (!(surface.settings->ambient_occlusion > 0)) return 1;
     SurfaceTracer::Openness open;
-    missed_ |= tracers_[hit.surface].openness(hit.hit, normal, surface.settings->ambient_occlusion, rays, seed,
-                                              contexts_[surface.channel.frame],
+    missed_ |= tracers_[hit.surface].openness(hit.hit, normal, surface.settings->ambient_occlusion, rays,
+                                              seed, contexts_[surface.channel.frame],
                                               open) == SurfaceTracer::Found::kMissing;
     return open.share;
 }

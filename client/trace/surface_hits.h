@@ -21,8 +21,8 @@ public:
 
     // All crossings up to the first opaque one, front to back. Valid until the next call.
     const std::vector<PlacedHit>& along(const WorldRay& ray, RaySpan span);
-    // What surfaces let through: the product of 1 - opacity over crossings. A ray that begins on a surface begins
-    // a hair off it.
+    // What surfaces let through: the product of 1 - opacity over crossings. A ray that begins on a surface
+    // begins a hair off it.
     double openness(const WorldRay& ray, RaySpan span);
 
     // Unit, world, on the side that the ray came from.

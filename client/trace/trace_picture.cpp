@@ -18,8 +18,9 @@ namespace {
 constexpr double kLevelShare = 0.5;
 
 bool simpleLight(const Light& light) {
-    return light.type().empty() || light.type() == "directional" ? !light.direction().empty() && light.shadows().empty()
-                                                                 : false;
+    return light.type().empty() || light.type() == "directional"
+               ? !light.direction().empty() && light.shadows().empty()
+               : false;
 }
 
 bool simpleMedium(const Medium& medium) {
@@ -36,9 +37,11 @@ bool drawnByBeams(const RenderRequest& request) {
     const Scene& scene = request.scene;
     return !request.path && request.samples == 1 && request.between == 0 && request.others.empty() &&
            (!request.filter || *request.filter == FieldFilter::kTrilinear) &&
-           (!request.shadows || *request.shadows == ShadowMethod::kAuto) && !request.behind && scene.media().empty() &&
-           scene.surfaces().empty() && !scene.has_clip() && !scene.has_shutter() && scene.lights_size() <= 1 &&
-           std::all_of(scene.lights().begin(), scene.lights().end(), simpleLight) && simpleMedium(scene.medium());
+           (!request.shadows || *request.shadows == ShadowMethod::kAuto) && !request.behind &&
+           scene.media().empty() && scene.surfaces().empty() && !scene.has_clip() && !scene.has_shutter() &&
+           scene.lights_size() <= 1 &&
+           std::all_of(scene.lights().begin(), scene.lights().end(), simpleLight) &&
+           simpleMedium(scene.medium());
 }
 
 TracePicture::TracePicture(BrickSource& source, const RenderRequest& request) : request_(request) {
@@ -172,7 +175,8 @@ Result<void> TracePicture::openChannels() {
         medium.settings = &world_.settings.media[m];
         medium.now = openMedium(*medium.settings, false);
         if (!result) return result;
-        if (m < next_settings_.media.size() && nextOf(medium.settings->density.frame) != medium.settings->density.frame) {
+        if (m < next_settings_.media.size() &&
+            nextOf(medium.settings->density.frame) != medium.settings->density.frame) {
             medium.next = openMedium(next_settings_.media[m], true);
             if (!result) return result;
             medium.between = request_.between;
@@ -250,7 +254,8 @@ void TracePicture::setAccuracy() {
     if (quality.reference || !(quality.pixels_per_voxel > 0)) return;
     for (TracedSurface& surface : world_.surfaces) {
         const glm::dvec3 nearest = glm::clamp(camera_->eye(), world_.box_low, world_.box_high);
-        const double pixel = glm::length(nearest - camera_->eye()) * camera_->pixelEdge() * quality.pixels_per_voxel;
+        const double pixel =
+            glm::length(nearest - camera_->eye()) * camera_->pixelEdge() * quality.pixels_per_voxel;
         const double voxel = surface.channel.channel->transform().voxelSize();
         surface.level = std::clamp(int(std::floor(std::log2(std::max(pixel / voxel, 1.0)))), 0, kMaxLevel);
     }

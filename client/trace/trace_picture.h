@@ -1,7 +1,7 @@
-// One picture of a scene that the beams do not draw: whole scenes, marched or traced by random paths. The loop
-// is the same: rays, misses, wishes, arrivals, until every sample of every pixel is done. A sample is a pure
-// function of the scene and its number: one that misses a page is drawn again when the page is there, so the
-// picture does not depend on threads, cache or network. Drawn once, by one thread, which brings others.
+// One picture of a scene that the beams do not draw: whole scenes, marched or traced by random paths. The
+// loop is the same: rays, misses, wishes, arrivals, until every sample of every pixel is done. A sample is a
+// pure function of the scene and its number: one that misses a page is drawn again when the page is there, so
+// the picture does not depend on threads, cache or network. Drawn once, by one thread, which brings others.
 #pragma once
 
 #include <atomic>
@@ -29,7 +29,7 @@ public:
 private:
     // What a thread holds during a pass.
     struct Worker {
-        std::vector<WantList> wants;      // by stream
+        std::vector<WantList> wants;       // by stream
         std::vector<RayContext> contexts;  // by stream
     };
     // What has been summed up of a pixel's samples.
@@ -64,12 +64,13 @@ private:
     Result<bool> buildShadowMaps();
     Result<void> draw();
     void traceTile(std::size_t index, Worker& worker);
-    RaySample traceSample(std::uint32_t x, std::uint32_t y, std::uint32_t sample, RayMarch& march, PathWalk& walk) const;
+    RaySample traceSample(std::uint32_t x, std::uint32_t y, std::uint32_t sample, RayMarch& march,
+                          PathWalk& walk) const;
     void finishRound(Tile& tile);
     void writePixel(std::uint32_t at);
     double rayEnd(std::uint32_t x, std::uint32_t y) const;
-    // Runs `body(worker, next)` on all threads; `next()` gives items until they are out, the cache is full of wants,
-    // or time is up. Merges what was missed.
+    // Runs `body(worker, next)` on all threads; `next()` gives items until they are out, the cache is full of
+    // wants, or time is up. Merges what was missed.
     void pass(std::size_t items, const std::function<void(std::size_t, Worker&)>& body);
     // Sends what the last pass missed and takes in what comes. False where nothing may come.
     Result<bool> stream();
@@ -84,7 +85,8 @@ private:
 
     const RenderRequest& request_;
     std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
-    std::deque<FrameStream> streams_;  // the request's own, others, and those of the frames after, in that order
+    std::deque<FrameStream>
+        streams_;  // the request's own, others, and those of the frames after, in that order
     std::vector<std::uint32_t> frames_;
     std::size_t bound_count_ = 0;  // of them, those that the scene is bound to; behind them the frames after
     std::vector<FrameFooter> footers_;

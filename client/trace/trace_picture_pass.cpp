@@ -34,8 +34,8 @@ Result<void> TracePicture::overview() {
     CameraView view{outcome_.camera, request_.width, request_.height, {}, kOverviewPixelsPerVoxel};
     for (const TracedMedium& medium : world_.media)
         for (const TracedChannel* channel : {&medium.now.density, &medium.now.emission})
-            if (*channel && channel->frame == 0 && !channel->channel->empty() && channel->channel->blockCount() > 0 &&
-                !channel->channel->block(0) &&
+            if (*channel && channel->frame == 0 && !channel->channel->empty() &&
+                channel->channel->blockCount() > 0 && !channel->channel->block(0) &&
                 std::find(view.channels.begin(), view.channels.end(), channel->channel->index()) ==
                     view.channels.end())
                 view.channels.push_back(channel->channel->index());
@@ -99,7 +99,8 @@ Result<bool> TracePicture::stream() {
             request_.max_stream_bytes > streamed ? request_.max_stream_bytes - streamed : 0;
         const PageWish wish = streams_[s].wishFor(wants_[s], allowed, over_budget_);
         if (wish.pages.empty()) continue;
-        if (Result<void> taken = streams_[s].take(wish, deadline()); !taken) return tl::unexpected(taken.error());
+        if (Result<void> taken = streams_[s].take(wish, deadline()); !taken)
+            return tl::unexpected(taken.error());
         streamed += wish.credit_bytes;
         any = true;
     }
@@ -147,8 +148,8 @@ RaySample TracePicture::traceSample(std::uint32_t x, std::uint32_t y, std::uint3
             py = random.uniform();
             moment = random.uniform();
         } else {
-            // Points of a lattice without clumps, moved from pixel to pixel. Roberts. The Unreasonable Effectiveness
-            // of Quasirandom Sequences. 2018 (R3).
+            // Points of a lattice without clumps, moved from pixel to pixel. Roberts. The Unreasonable
+            // Effectiveness of Quasirandom Sequences. 2018 (R3).
             PathRandom shift(request_.seed, pixel, 0);
             auto turned = [&](double step) {
                 const double v = shift.uniform() + step * double(sample);
@@ -162,8 +163,9 @@ RaySample TracePicture::traceSample(std::uint32_t x, std::uint32_t y, std::uint3
     const WorldRay ray = camera_->rayThrough(double(x) + px, double(y) + py);
     const double time = open + (close - open) * moment;
     const double end = rayEnd(x, y);
-    return request_.path ? walk.sample(ray, end, time, random)
-                         : march.march(ray, end, time, mixBits(request_.seed + pixel * 0x9e3779b97f4a7c15ull + sample));
+    return request_.path
+               ? walk.sample(ray, end, time, random)
+               : march.march(ray, end, time, mixBits(request_.seed + pixel * 0x9e3779b97f4a7c15ull + sample));
 }
 
 void TracePicture::traceTile(std::size_t index, Worker& worker) {
@@ -173,7 +175,8 @@ void TracePicture::traceTile(std::size_t index, Worker& worker) {
         if (rounds_.load(std::memory_order_relaxed) > kMostWaitingSamples) return;
         std::uint32_t drawn = most_samples_;
         for (std::uint32_t i = 0; i < pixels; ++i) {
-            const PixelSum& sum = sums_[std::size_t(tile.y0 + i / width) * request_.width + tile.x0 + i % width];
+            const PixelSum& sum =
+                sums_[std::size_t(tile.y0 + i / width) * request_.width + tile.x0 + i % width];
             if (!sum.done) drawn = std::min(drawn, sum.samples);
         }
         tile.round_samples = drawn == 0 ? 1 : std::min(kRoundSamples, most_samples_ - drawn);
@@ -272,7 +275,8 @@ void TracePicture::writePixel(std::uint32_t at) {
     pixel.depth = sum.depth_weight > 0 ? float(sum.depth / sum.depth_weight) : 0;
     pixel.bound_alpha = std::max(pixel.alpha, 1 - pixel.alpha);
     pixel.bound_radiance = std::numeric_limits<float>::infinity();
-    pixel.estimate_alpha = float(std::hypot(sum.alpha_deviation / count, deviation(sum.alpha, sum.alpha_square)));
+    pixel.estimate_alpha =
+        float(std::hypot(sum.alpha_deviation / count, deviation(sum.alpha, sum.alpha_square)));
     pixel.estimate_radiance =
         float(std::hypot(sum.radiance_deviation / count, deviation(sum.greatest, sum.radiance_square)));
 }
@@ -290,7 +294,8 @@ Result<void> TracePicture::draw() {
         if (request_.progress) {
             std::uint64_t done = 0;
             for (const PixelSum& sum : sums_) done += sum.done ? most_samples_ : sum.samples;
-            request_.progress(done / most_samples_, sums_.size(), streams_[0].source().counters().bytes_streamed);
+            request_.progress(done / most_samples_, sums_.size(),
+                              streams_[0].source().counters().bytes_streamed);
         }
         if (!missedAnything()) continue;
         idle = finished_samples_.load() == 0 ? idle + 1 : 0;
@@ -319,7 +324,8 @@ void TracePicture::finish() {
             pixel.depth = float(sample.depth);
         }
     }
-    const bool all_done = std::all_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return tile.done; });
+    const bool all_done =
+        std::all_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return tile.done; });
     for (Pixel& pixel : outcome_.picture.pixels)
         if (pixel.bound_radiance == 0) {
             // Not one sample: nothing is known.
@@ -354,7 +360,8 @@ void TracePicture::finish() {
     outcome_.final = all_done && outcome_.not_final.failed == 0;
     outcome_.method = request_.path ? "path" : "march";
     outcome_.samples = 0;
-    for (const PixelSum& sum : sums_) outcome_.samples = std::max<std::uint64_t>(outcome_.samples, sum.samples);
+    for (const PixelSum& sum : sums_)
+        outcome_.samples = std::max<std::uint64_t>(outcome_.samples, sum.samples);
     if (outcome_.seconds_first_image == 0) outcome_.seconds_first_image = secondsSince(begin_);
     outcome_.seconds_total = secondsSince(begin_);
 }

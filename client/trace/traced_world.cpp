@@ -35,7 +35,8 @@ Box mapped(const Box& box, const Affine& from, const Affine& to) {
 glm::dvec3 displacement(const MediumChannels& channels, const TracedMedium& medium, double elapsed) {
     if (!channels.velocity || elapsed == 0) return glm::dvec3(0);
     const PagedChannel& velocity = *channels.velocity.channel;
-    const double speed = std::sqrt(3.0) * std::max(std::abs(velocity.valueMin()), std::abs(velocity.valueMax()));
+    const double speed =
+        std::sqrt(3.0) * std::max(std::abs(velocity.valueMin()), std::abs(velocity.valueMax()));
     const double distance = speed * medium.settings->velocity_scale * elapsed;
     glm::dvec3 rows(0);
     for (int axis = 0; axis < 3; ++axis) {
@@ -70,13 +71,13 @@ public:
     }
 
 private:
-    bool range(const TracedChannel& channel, const MediumChannels& channels, const Box& box, const glm::dvec3& reach,
-               double square_budget, ValueRange& out) const {
+    bool range(const TracedChannel& channel, const MediumChannels& channels, const Box& box,
+               const glm::dvec3& reach, double square_budget, ValueRange& out) const {
         const FieldFilter filter = medium_.settings->filter;
         // A kernel reaches a sample of the level beyond the cell, and central differences one more.
         const double samples = filterReach(filter) * 2 * cellEdgeOf(level_) + 1e-6;
-        const Box there = mapped(grown(box, reach), channels.density.channel->transform(),
-                                 channel.channel->transform());
+        const Box there =
+            mapped(grown(box, reach), channels.density.channel->transform(), channel.channel->transform());
         const Box asked = grown(there, glm::dvec3(samples));
         const bool complete = rangeOver(*channel.channel, asked.low, asked.high, level_, square_budget,
                                         contexts_[channel.frame], out);

@@ -34,12 +34,12 @@ struct MediumChannels {
 
 struct TracedMedium {
     const MediumSettings* settings = nullptr;
-    MediumChannels now, next;  // next.density: only between two frames
-    double between = 0;        // weight of `next`
-    bool advects = false;      // between frames
+    MediumChannels now, next;              // next.density: only between two frames
+    double between = 0;                    // weight of `next`
+    bool advects = false;                  // between frames
     double time_open = 0, time_close = 0;  // of the shutter, frames
     ReadAccuracy density_accuracy, other_accuracy;
-    double pixels_per_voxel = 0;  // as QualitySettings
+    double pixels_per_voxel = 0;         // as QualitySettings
     glm::dvec3 box_low{0}, box_high{0};  // index space of `now`'s density
     MajorantGrid majorants;
     bool glows() const { return settings->emission.has_value(); }
@@ -68,7 +68,7 @@ struct TracedWorld {
     std::vector<TracedMedium> media;
     std::vector<TracedSurface> surfaces;
     std::vector<TracedLight> lights;
-    std::vector<TracedChannel> baked;  // by light of the settings; none where it is not
+    std::vector<TracedChannel> baked;    // by light of the settings; none where it is not
     glm::dvec3 box_low{0}, box_high{0};  // world, of everything
 
     // Level of detail at a point: levels whose voxels, seen from the camera, are below so many pixels.
@@ -77,8 +77,8 @@ struct TracedWorld {
     RaySpan clipped(const WorldRay& ray, RaySpan span) const;
 };
 
-// Fills in `medium.majorants`, for levels of detail up to `coarsest`. False where tree blocks are missing (they are
-// wanted). `contexts`: one a frame.
+// Fills in `medium.majorants`, for levels of detail up to `coarsest`. False where tree blocks are missing
+// (they are wanted). `contexts`: one a frame.
 bool makeMajorants(TracedMedium& medium, int coarsest, std::span<const RayContext> contexts);
 
 // Extinction per world unit of a density (or of a value that a transfer function maps).

@@ -41,7 +41,8 @@ struct Query {
         const NodeRecord& record = block->record(ref.node);
         if (double(record.value_min) >= out.low && double(record.value_max) <= out.high) return;
         if (key.level <= level || key.level == 0 || block->isLeaf(ref.node) ||
-            effectiveSquare(double(record.rms), double(record.bound)) * cellEdge(key.level) <= square_budget) {
+            effectiveSquare(double(record.rms), double(record.bound)) * cellEdge(key.level) <=
+                square_budget) {
             out.add(double(record.value_min));
             out.add(double(record.value_max));
             return;

@@ -24,9 +24,9 @@ struct ValueRange {
     }
 };
 
-// Every value that a ChannelReader may give within [low, high] (index space) at levels of detail up to `level`
-// with that square budget. Looks no deeper than nodes of `level`: what lies below a node is within its range.
-// False where a tree block is missing (it is wanted): `out` is then no bound.
+// Every value that a ChannelReader may give within [low, high] (index space) at levels of detail up to
+// `level` with that square budget. Looks no deeper than nodes of `level`: what lies below a node is within
+// its range. False where a tree block is missing (it is wanted): `out` is then no bound.
 bool rangeOver(const PagedChannel& channel, const glm::dvec3& low, const glm::dvec3& high, int level,
                double square_budget, const RayContext& context, ValueRange& out);
 

@@ -11,7 +11,8 @@ namespace brickyard {
 
 // Frame 0 of a new dataset at `folder`, an octree for each field.
 inline Result<void> storeFields(const std::filesystem::path& folder,
-                                const std::vector<const FieldSource*>& fields, int edge = 8) {
+                                const std::vector<const FieldSource*>& fields, int edge = 8,
+                                double max_error = 0) {
     Manifest settings;
     settings.set_format_major(kFormatMajor);
     settings.set_brick_edge(std::uint32_t(edge));
@@ -24,6 +25,7 @@ inline Result<void> storeFields(const std::filesystem::path& folder,
     if (!frame) return tl::unexpected(frame.error());
     BuildOptions options;
     options.shape.edge_cells = edge;
+    options.max_error = max_error;
     const std::vector<BuildOptions> all(fields.size(), options);
     const auto footer = buildFrame(fields, all, **frame);
     if (!footer) return tl::unexpected(footer.error());
