@@ -9,6 +9,7 @@
 #include <sstream>
 
 #include "tools/command.h"
+#include "tools/frame_plan.h"
 #include "tools/numbered_name.h"
 #include "tools/quality_preset.h"
 
@@ -98,14 +99,22 @@ Result<void> checkFrame(const RenderOptions& options) {
                 fmt::format("--frame {}: give a number from 0 to {}", *options.frame, kLastFrame));
 }
 
-Result<void> checkFollow(const RenderOptions& options) {
-    if (!options.follow) return {};
-    if (options.frame) return fail(ErrorCode::kInvalid, "--follow draws all frames; leave --frame out");
+// Several pictures need several names.
+Result<void> checkSequence(const RenderOptions& options) {
+    if (!options.follow && options.frames.empty()) return {};
+    const char* option = options.follow ? "--follow" : "--frames";
+    if (options.frame)
+        return fail(ErrorCode::kInvalid, fmt::format("{} says which frames; leave --frame out", option));
+    if (options.follow && !options.frames.empty())
+        return fail(ErrorCode::kInvalid, "--follow draws all frames; leave --frames out");
+    if (!options.frames.empty())
+        if (const Result<FrameSet> frames = FrameSet::parse(options.frames); !frames)
+            return fail(ErrorCode::kInvalid, "--frames " + frames.error().message);
     if (!hasNumberPlace(options.output))
         return fail(ErrorCode::kInvalid,
-                    fmt::format("-o {}: with --follow a name has a place for the frame's number, for example "
+                    fmt::format("-o {}: with {} a name has a place for the frame's number, for example "
                                 "frame.%04d.png",
-                                options.output));
+                                options.output, option));
     return {};
 }
 
@@ -113,6 +122,8 @@ Result<void> checkFiles(const RenderOptions& options) {
     const std::filesystem::path output(options.output);
     if (!options.explain.empty() && std::filesystem::path(options.explain).extension() != ".exr")
         return fail(ErrorCode::kInvalid, fmt::format("--explain {}: name an .exr file", options.explain));
+    if (!options.over.empty() && std::filesystem::path(options.over).extension() != ".exr")
+        return fail(ErrorCode::kInvalid, fmt::format("--over {}: name an .exr file", options.over));
     if (output.extension() != ".exr" && output.extension() != ".png")
         return fail(ErrorCode::kInvalid, fmt::format("-o {}: name a .png or an .exr file", options.output));
     if (options.source.empty() && options.scene.empty())
@@ -168,7 +179,7 @@ Result<RenderRequest> requestOf(const RenderOptions& options) {
         return fail(
             ErrorCode::kUnsupported,
             fmt::format("--device {}: this build renders on the CPU; use --device cpu", options.device));
-    for (const auto& check : {checkFrame, checkFollow, checkFiles})
+    for (const auto& check : {checkFrame, checkSequence, checkFiles})
         if (Result<void> checked = check(options); !checked) return tl::unexpected(checked.error());
     // The command line lets no other names through.
     if (!options.filter.empty()) request.filter = fieldFilter(options.filter);
@@ -219,6 +230,11 @@ void addRenderOptions(CLI::App& command, RenderOptions& options) {
     command.add_option("--frame", options.frame,
                        "Frame number, also between two: 12.5; the scene's, or the first there is");
     command
+        .add_option("--frames", options.frames,
+                    "Draw these frames, one after the other: 10-19, or 1,5,10-20x2; the output's name has a "
+                    "place for the number, %04d")
+        ->type_name("LIST");
+    command
         .add_option("--between", options.between,
                     "How two frames become one in between: advect (along a velocity channel) or blend")
         ->check(CLI::IsMember({"advect", "blend"}))
@@ -263,6 +279,15 @@ void addRenderOptions(CLI::App& command, RenderOptions& options) {
         .add_option("--shadows", options.shadows,
                     "Of lights that do not say: exact, deep, baked (see `brickyard bake`), none")
         ->check(CLI::IsMember({"exact", "deep", "baked", "none"}));
+    command.add_option(
+        "--over", options.over,
+        "IMAGE.exr of the picture's size: rays end at its depth Z, and what is drawn goes over it; "
+        "with %04d one for each frame");
+    command
+        .add_option("--over-depth", options.over_depth,
+                    "What the image's Z is: plane (along the camera's axis), or ray (distance from the eye)")
+        ->check(CLI::IsMember({"plane", "ray"}))
+        ->capture_default_str();
     command.add_flag("--strict", options.strict, "Make --max-error a guarantee");
     command.add_option("--deadline", options.deadline, "Seconds; the best picture by then");
     command.add_option("--max-bytes", options.max_bytes,

@@ -15,6 +15,7 @@ namespace brickyard {
 struct RenderOptions {
     std::string source, output, size = "640x480", camera, scene, quality = "final", cache = "1G", max_bytes,
                                 token_file, tls_ca, explain;
+    std::string over, over_depth = "plane", frames;
     std::string device = "cpu", filter, shadows, between = "advect";
     std::optional<double> frame;  // 12.5 lies between two
     std::optional<double> density_scale, max_error, deadline, follow;
