@@ -1,5 +1,5 @@
-// What a page of the cache holds: the (N + 1)^3 samples of a brick, x fastest, and behind them one float
-// more, the brick's steepness. Pure functions, any thread.
+// What a page of the cache holds: the (N + 1)^3 samples of a brick, x fastest, component by component, and
+// behind them, of a scalar channel, one float more, the brick's steepness. Pure functions, any thread.
 #pragma once
 
 #include <algorithm>
@@ -11,7 +11,9 @@
 
 namespace brickyard {
 
-inline std::size_t pageFloats(BrickShape shape) { return shape.samples() + 1; }
+inline std::size_t pageFloats(BrickShape shape, int components = 1) {
+    return shape.samples() * std::size_t(components) + 1;
+}
 
 // Largest difference of neighbouring samples along each axis, added up: the trilinear field changes by no
 // more than this times the distance in cells.

@@ -18,7 +18,8 @@ Result<PagedChannel> PagedChannel::create(const ChannelFooter& footer, std::uint
     channel.shape_.edge_cells = brick_edge;
     channel.type_ = static_cast<SampleType>(footer.sample_type());
     channel.file_bytes_ = file_bytes;
-    if (!isBrickEdge(brick_edge) || footer.components() != 1 || footer.background_size() != 1 ||
+    if (!isBrickEdge(brick_edge) || (footer.components() != 1 && footer.components() != 3) ||
+        footer.background_size() != int(footer.components()) ||
         (footer.active_voxels() > 0 && (footer.active_min_size() != 3 || footer.active_max_size() != 3)))
         return fail(ErrorCode::kCorrupt,
                     fmt::format("channel '{}': its footer does not hold together", footer.name()));
@@ -35,7 +36,7 @@ Result<PagedChannel> PagedChannel::create(const ChannelFooter& footer, std::uint
         return fail(ErrorCode::kCorrupt,
                     fmt::format("channel '{}': {}", footer.name(), transform.error().message));
     channel.transform_ = *transform;
-    channel.background_bits_ = {footer.background(0)};
+    channel.background_bits_.assign(footer.background().begin(), footer.background().end());
     channel.background_ = toFloat(channel.type_, footer.background(0));
     channel.empty_ = footer.active_voxels() == 0;
     if (!channel.empty_)
@@ -60,7 +61,8 @@ Result<void> PagedChannel::addBlock(std::uint32_t index, std::span<const std::by
     if (stored.size() != ref.bytes() || checksum(stored) != ref.xxh64())
         return fail(ErrorCode::kCorrupt,
                     fmt::format("channel '{}': tree block {} fails its checksum", name(), index));
-    Result<TreeBlock> block = decodeStoredBlock(stored, ref.raw_bytes(), index, blockCount(), file_bytes_, 1);
+    Result<TreeBlock> block =
+        decodeStoredBlock(stored, ref.raw_bytes(), index, blockCount(), file_bytes_, components());
     if (!block)
         return fail(ErrorCode::kCorrupt,
                     fmt::format("channel '{}': tree block {}: {}", name(), index, block.error().message));

@@ -1,4 +1,4 @@
-// One scalar channel of a frame as a ray sees it: where it is in the world, and as much of its octree as has
+// One channel of a frame as a ray sees it: where it is in the world, and as much of its octree as has
 // arrived. During a pass any thread may read; addBlock() belongs to one thread, between passes.
 #pragma once
 
@@ -32,8 +32,15 @@ public:
     BrickShape shape() const { return shape_; }
     SampleType type() const { return type_; }
     const Affine& transform() const { return transform_; }
-    float background() const { return background_; }
+    int components() const { return int(background_bits_.size()); }  // 1 or 3
+    float background() const { return background_; }                 // of the first component
+    // One value a component.
     std::span<const ValueBits> backgroundBits() const { return background_bits_; }
+    // Least and greatest active value, of the worst component.
+    double valueMin() const { return footer_.value_min(); }
+    double valueMax() const { return footer_.value_max(); }
+    // OpenVDB's "staggered": component c of index (i, j, k) lies half a voxel below it on axis c.
+    bool staggered() const { return components() == 3 && footer_.grid_class() == "staggered"; }
     // The medium's closed box in index space: its active voxels and one sample beyond. REQUIRES: !empty().
     const glm::dvec3& clipLow() const { return clip_low_; }
     const glm::dvec3& clipHigh() const { return clip_high_; }

@@ -7,20 +7,22 @@
 namespace brickyard {
 
 Result<void> ResidentFrame::begin(const FrameFooter& footer, std::uint64_t file_bytes,
-                                  std::uint64_t budget_bytes) {
+                                  std::uint64_t budget_bytes, int components) {
     std::string stored = footer.SerializeAsString();
-    if (!cache_ || stored != stored_footer_ || file_bytes != file_bytes_ || budget_bytes != budget_bytes_) {
+    if (!cache_ || stored != stored_footer_ || file_bytes != file_bytes_ || budget_bytes != budget_bytes_ ||
+        components > components_) {
         const int edge = int(footer.brick_edge());
         if (!isBrickEdge(edge))
             return fail(ErrorCode::kCorrupt,
                         fmt::format("the frame's footer names a brick edge of {} cells, which cannot be",
                                     footer.brick_edge()));
         channels_.clear();
-        cache_.emplace(budget_bytes, pageFloats(BrickShape{edge}));
+        cache_.emplace(budget_bytes, pageFloats(BrickShape{edge}, components));
         stored_footer_ = std::move(stored);
         footer_ = footer;
         file_bytes_ = file_bytes;
         budget_bytes_ = budget_bytes;
+        components_ = components;
     }
     if (cache_->capacity() == 0)
         return fail(ErrorCode::kInvalid,

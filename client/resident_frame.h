@@ -23,8 +23,10 @@ public:
     // Before each picture. Begins empty where the frame or the budget is another than before: a footer holds
     // the checksums of its tree blocks and those the checksums of their bricks, so one footer is one frame,
     // whatever source it comes from. `file_bytes`: of the frame file, as PagedChannel::create takes it.
-    // Errors: kCorrupt (no brick edge); kInvalid (the budget holds no brick).
-    Result<void> begin(const FrameFooter& footer, std::uint64_t file_bytes, std::uint64_t budget_bytes);
+    // `components`: most that a channel's pages will have. Errors: kCorrupt (no brick edge); kInvalid (the
+    // budget holds no brick).
+    Result<void> begin(const FrameFooter& footer, std::uint64_t file_bytes, std::uint64_t budget_bytes,
+                       int components = 1);
 
     // Made when first asked for; stays where it is until begin() is called with another frame.
     // REQUIRES: begin() was successful, `index` is one of the footer's channels. Errors: those of
@@ -40,6 +42,7 @@ private:
     std::string stored_footer_;  // as serialised; tells one frame from another
     FrameFooter footer_;
     std::uint64_t file_bytes_ = 0, budget_bytes_ = 0;
+    int components_ = 0;
     std::map<std::uint32_t, PagedChannel> channels_;  // a map keeps them in place
     std::optional<PageCache> cache_;
 };

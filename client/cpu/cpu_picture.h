@@ -8,13 +8,12 @@
 #include <chrono>
 #include <functional>
 #include <optional>
-#include <unordered_set>
 #include <vector>
 
 #include "client/cpu/beam_tile.h"
 #include "client/cpu/ray_tracer.h"
+#include "client/frame_stream.h"
 #include "client/renderer.h"
-#include "client/resident_frame.h"
 
 namespace brickyard {
 
@@ -31,7 +30,7 @@ struct PictureTile {
 class CpuPicture {
 public:
     CpuPicture(BrickSource& source, const RenderRequest& request)
-        : source_(source), request_(request), held_(request.kept ? *request.kept : own_) {}
+        : source_(source), request_(request), stream_(source, request.kept) {}
 
     Result<RenderOutcome> run();
 
@@ -56,12 +55,7 @@ private:
     double lightDeviation() const;
     // Sends the wants of the last pass and takes in what comes. False when nothing more may come.
     Result<bool> stream();
-    Result<void> take(const PageWish& wish);
-    void arrive(const Arrival& arrival);
-    PagedChannel* channelOf(std::uint32_t index) {
-        if (density_ && density_->index() == index) return density_;
-        return emission_ && emission_->index() == index ? emission_ : nullptr;
-    }
+    Result<void> take(const PageWish& wish) { return stream_.take(wish, deadline()); }
     SourceDeadline deadline() const {
         if (!request_.deadline) return SourceDeadline::max();
         return begin_ + std::chrono::duration_cast<std::chrono::steady_clock::duration>(*request_.deadline);
@@ -71,7 +65,7 @@ private:
     }
     void forEachThread(const std::function<void(unsigned)>& body) const;
     RayContext context(WantList& wants, std::uint32_t tile) const {
-        return {cache_, &failed_, &wants, tile, std::max<std::size_t>(1, cache_->room() / threads_)};
+        return {cache_, &stream_.failed(), &wants, tile, std::max<std::size_t>(1, cache_->room() / threads_)};
     }
 
     BrickSource& source_;
@@ -79,22 +73,17 @@ private:
     std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
     RenderOutcome outcome_;
     std::optional<PinholeCamera> camera_;
-    ResidentFrame own_;    // where nothing is kept
-    ResidentFrame& held_;  // owns the next three
+    FrameStream stream_;  // owns the next three
     PagedChannel *density_ = nullptr, *emission_ = nullptr;
     PageCache* cache_ = nullptr;
-    PageCacheCounters counted_before_;
     RenderPlan plan_;
     std::optional<RayTracer> tracer_;
     std::optional<LightField> light_;
     std::vector<PictureTile> tiles_;
     WantList wants_;
-    std::unordered_set<WantedPage, WantedPageHash> failed_;
-    std::unordered_set<WantedPage, WantedPageHash> retried_;
     unsigned threads_ = 1;
     std::atomic<std::uint64_t> stuck_{0};
     bool over_budget_ = false;
-    std::uint64_t in_flight_bytes_ = 0;  // of the newest wish: what came in as long as its first page took
 };
 
 inline double secondsSince(std::chrono::steady_clock::time_point begin) {

@@ -43,22 +43,15 @@ StartHint startHint(const RenderRequest& request, std::optional<std::uint32_t> f
 
 Result<void> CpuPicture::open() {
     threads_ = request_.threads ? request_.threads : std::max(1u, std::thread::hardware_concurrency());
-    Result<FrameFooter> footer = source_.openFrame(request_.frame, deadline());
+    Result<FrameFooter> footer = stream_.open(request_.frame, deadline());
     if (!footer) return tl::unexpected(footer.error());
-    std::uint64_t file_bytes = UINT64_MAX;
-    // The newest: the frame may have come, or have been converted again, since the source was opened.
-    const std::shared_ptr<const Manifest> manifest = source_.latestManifest();
-    for (const FrameEntry& entry : manifest->frames())
-        if (entry.frame() == request_.frame) file_bytes = entry.file_bytes();
-
     Result<SceneSettings> scene = bindScene(request_.scene, *footer);
     if (!scene) return tl::unexpected(scene.error());
     if (request_.density_scale) scene->density_scale = *request_.density_scale;
-    if (Result<void> begun = held_.begin(*footer, file_bytes, request_.cache_bytes); !begun) return begun;
-    cache_ = &held_.cache();
-    counted_before_ = cache_->counters();
+    if (Result<void> begun = stream_.begin(*footer, request_.cache_bytes); !begun) return begun;
+    cache_ = &stream_.cache();
     auto openChannel = [&](std::uint32_t index, PagedChannel*& out) -> Result<void> {
-        Result<PagedChannel*> channel = held_.channel(index);
+        Result<PagedChannel*> channel = stream_.channel(index);
         if (!channel) return tl::unexpected(channel.error());
         out = *channel;
         return {};
@@ -153,9 +146,10 @@ Result<RenderOutcome> CpuPicture::run() {
     const bool all_done = allDone();
     if (!all_done) drawProvisional(/*everything=*/false);
     if (outcome_.passes == 0) outcome_.seconds_first_image = secondsSince(begin_);
-    outcome_.final = all_done && failed_.empty();
-    outcome_.not_final.failed = failed_.size();
-    outcome_.retried = retried_.size();
+    outcome_.final = all_done && stream_.failed().empty();
+    outcome_.not_final.failed = stream_.failed().size();
+    outcome_.first_failure = stream_.firstFailure();
+    outcome_.retried = stream_.retried();
     if (!all_done)
         (over_budget_ ? outcome_.not_final.over_budget : outcome_.not_final.queued) =
             std::max<std::size_t>(1, wants_.size());
@@ -164,9 +158,11 @@ Result<RenderOutcome> CpuPicture::run() {
     outcome_.not_final.no_finer_data = stuck_.load();
     outcome_.streamed = source_.counters();
     outcome_.cache_bytes = cache_->peakBytes();
-    outcome_.cache = cache_->counters() - counted_before_;
+    outcome_.cache = stream_.counters();
     outcome_.tree_bytes = density_->treeBytes() + (emission_ ? emission_->treeBytes() : 0);
     outcome_.light_bytes = light_ ? light_->bytes() : 0;
+    outcome_.method = "beams";
+    outcome_.samples = request_.samples;
     outcome_.seconds_total = secondsSince(begin_);
     if (outcome_.final && request_.repeats > 0) {
         const double in_passes = outcome_.seconds_render;
