@@ -24,6 +24,10 @@ public:
 
     // What is drawn where the scene names no other.
     BrickSource& first() const { return *datasets_.front().source; }
+    // Another connection to the same. Errors: those of openSource().
+    Result<std::unique_ptr<BrickSource>> openFirstAgain() const {
+        return openSource(datasets_.front().address, access_, {}, timeouts_);
+    }
     // The scene's frame that draws `frame` of the first dataset. Errors: kInvalid (it would be below 0).
     Result<double> sceneFrame(std::uint32_t frame) const;
     // The one that draws the first frame there is. Errors: kNotFound.
