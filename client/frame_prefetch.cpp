@@ -6,6 +6,7 @@
 #include <unordered_set>
 #include <vector>
 
+#include "client/arrived_nodes.h"
 #include "client/frame_stream.h"
 
 namespace brickyard {
@@ -15,37 +16,6 @@ namespace {
 // A piece, and how long it may take: what end() waits for.
 constexpr std::uint64_t kPieceBytes = 512u << 10;
 constexpr std::chrono::seconds kPieceTime{2};
-
-// Calls visit(ref, key) for nodes of the blocks that have arrived, parents first, and missing(block) for a
-// block that has not. Goes below a node where visit says so.
-template <class Visit, class Missing>
-void walkArrived(const PagedChannel& channel, Visit visit, Missing missing) {
-    struct Place {
-        NodeRef ref;
-        NodeKey key;
-    };
-    std::vector<Place> open;
-    for (std::size_t i = 0; i < channel.roots().size(); ++i)
-        open.push_back({{0, std::uint32_t(i)}, channel.roots()[i]});
-    while (!open.empty()) {
-        const Place place = open.back();
-        open.pop_back();
-        const TreeBlock* block =
-            place.ref.block < channel.blockCount() ? channel.block(place.ref.block) : nullptr;
-        if (!block) {
-            missing(place.ref.block);
-            continue;
-        }
-        // A block may lie about its roots, and level 0 has no children whatever it says.
-        if (place.ref.node >= block->nodeCount()) continue;
-        if (!visit(place.ref, place.key) || place.key.level == 0 || block->isLeaf(place.ref.node)) continue;
-        const ChildrenRef first = block->children(place.ref.node);
-        std::uint32_t at = first.first;
-        for (int octant = 0; octant < 8; ++octant)
-            if (block->validMask(place.ref.node) >> octant & 1)
-                open.push_back({{first.block, at++}, place.key.child(octant)});
-    }
-}
 
 using Places = std::unordered_map<NodeKey, FrameUse::Pages, NodeKeyHash>;
 
@@ -86,7 +56,7 @@ void addMissing(const ChannelLike& like, const PageCache& cache, std::vector<Mis
             out.push_back({{false, page}, key.level, page.draft ? record.draft_bytes : record.payload_bytes});
     };
     std::unordered_set<std::uint32_t> blocks;
-    walkArrived(
+    forEachArrived(
         channel,
         [&](const NodeRef& ref, const NodeKey& key) {
             if (!like.above.contains(key)) return false;
@@ -141,7 +111,7 @@ FrameUse useOf(const ResidentFrame& frame) {
     use.components = frame.components();
     for (const auto& [index, channel] : frame.channels()) {
         Places& places = use.channels[channel.name()];
-        walkArrived(
+        forEachArrived(
             channel,
             [&](const NodeRef& ref, const NodeKey& key) {
                 const NodeRecord& record = channel.block(ref.block)->record(ref.node);

@@ -196,10 +196,7 @@ Result<void> readSceneOptions(const RenderOptions& options, RenderRequest& reque
         Result<Scene> scene = readScene(options.scene);
         if (!scene) return tl::unexpected(scene.error());
         request.scene = std::move(*scene);
-        // Names in JSON on the command line begin where the command does.
-        const std::size_t first = options.scene.find_first_not_of(" \t\r\n");
-        if (first != std::string::npos && options.scene[first] != '{')
-            request.folder = std::filesystem::path(options.scene).parent_path();
+        request.folder = sceneFolder(options.scene);
     }
     if (!options.camera.empty()) {
         Result<Camera> camera = readCamera(options.camera);
@@ -207,6 +204,12 @@ Result<void> readSceneOptions(const RenderOptions& options, RenderRequest& reque
         request.camera = std::move(*camera);
     }
     return {};
+}
+
+std::filesystem::path sceneFolder(const std::string& text_or_file) {
+    const std::size_t first = text_or_file.find_first_not_of(" \t\r\n");
+    if (first == std::string::npos || text_or_file[first] == '{') return {};
+    return std::filesystem::path(text_or_file).parent_path();
 }
 
 Result<std::string> readToken(const std::string& file) {

@@ -38,6 +38,8 @@ std::uint32_t gridEdge(const RenderOptions& options);
 
 // Reads what the options name: scene and camera. Errors: those of readScene() and readCamera().
 Result<void> readSceneOptions(const RenderOptions& options, RenderRequest& request);
+// Where relative names in a scene begin: beside its file; JSON on the command line begins where that does.
+std::filesystem::path sceneFolder(const std::string& text_or_file);
 // Errors: kNotFound.
 Result<std::string> readToken(const std::string& file);
 

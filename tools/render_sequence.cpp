@@ -5,8 +5,10 @@
 #include <memory>
 #include <optional>
 #include <set>
+#include <span>
 
 #include "client/frame_prefetch.h"
+#include "client/world_settings.h"
 #include "tools/command.h"
 #include "tools/frame_plan.h"
 #include "tools/render_picture.h"
@@ -69,7 +71,8 @@ Result<std::map<std::uint32_t, double>> framesOf(const RenderSources& sources, c
     return frames;
 }
 
-// What a sequence keeps of the frame that is drawn, and fetches of the next.
+// What a sequence keeps of the frame that is drawn, and fetches of the next. A scene of several datasets is
+// not fetched ahead: none of its frames is bound alone.
 class FramesAhead {
 public:
     FramesAhead(const RenderSources& sources, const RenderRequest& request) : request_(request) {
@@ -83,6 +86,7 @@ public:
     // Gives the picture what is kept for it, and begins to fetch `next`. Two frames share the cache.
     void begin(RenderRequest& picture, std::optional<std::uint32_t> next) {
         if (!source_) return;
+        dataset_ = picture.dataset;
         picture.cache_bytes /= 2;
         picture.kept = kept_.get();
         next_ = std::make_unique<ResidentFrame>();
@@ -90,7 +94,9 @@ public:
         if (!next || use_.channels.empty()) return;
         const std::uint64_t most = 2 * use_.bytes + kPlentyBytes;
         const auto bind = [this](FrameFooter& footer) -> Result<void> {
-            if (auto bound = bindScene(request_.scene, footer); !bound) return tl::unexpected(bound.error());
+            const BoundFrame frame{dataset_, &footer};
+            const auto bound = bindWorld(request_.scene, std::span(&frame, 1), request_.folder);
+            if (!bound) return tl::unexpected(bound.error());
             return {};
         };
         ahead_.emplace(
@@ -117,6 +123,7 @@ private:
     const RenderRequest& request_;
     std::unique_ptr<BrickSource> source_;  // nullptr: nothing is fetched ahead
     std::unique_ptr<ResidentFrame> kept_ = std::make_unique<ResidentFrame>(), next_;
+    std::string dataset_;
     FrameUse use_;                        // of the picture before
     std::optional<FramePrefetch> ahead_;  // ends before what it works on
 };
