@@ -1,6 +1,9 @@
-// Light from everywhere: one radiance, or a lat-long picture. Immutable: any thread.
+// Light from everywhere: one radiance, or a lat-long picture, constant over each of its texels, so that what
+// is picked and what is added up is exactly what is seen. Immutable: any thread.
 #pragma once
 
+#include <cstddef>
+#include <cstdint>
 #include <filesystem>
 #include <glm/mat3x3.hpp>
 #include <glm/vec3.hpp>
@@ -15,9 +18,14 @@ public:
     // The same from everywhere.
     explicit EnvironmentMap(const glm::dvec3& radiance);
     // Row 0 is the north pole, at `up`; the columns run over the longitudes, turned by `rotation` degrees
-    // about it. `factor` multiplies. Errors: kNotFound, kCorrupt (no EXR), kInvalid (not finite, negative).
+    // about it. Who looks along world X (Y where `up` is parallel to X) sees the picture's middle, unturned,
+    // and its right half on the right, as in Cycles. `factor` multiplies. Errors: kNotFound; kCorrupt (no
+    // EXR, no R G B); kInvalid (a texel is not finite or is negative); kUnsupported (more than 2^26 texels).
     static Result<EnvironmentMap> read(const std::filesystem::path& file, const glm::dvec3& factor,
                                        const glm::dvec3& up, double rotation);
+    // The same from texels in memory, row by row. REQUIRES: width * height of them, finite, none negative;
+    // `up` has a length.
+    EnvironmentMap(std::vector<glm::vec3> texels, std::uint32_t width, const glm::dvec3& up, double rotation);
 
     // Radiance that comes from unit `direction` (world, from the scene towards the sky).
     glm::dvec3 radiance(const glm::dvec3& direction) const;
@@ -40,11 +48,16 @@ public:
     std::vector<DistantLight> distantLights(std::size_t count) const;
 
 private:
-    EnvironmentMap() = default;
+    double rowCosine(std::uint32_t row) const;  // of the angle from the pole to the row's upper edge
+    double texelSolidAngle(std::uint32_t row) const;
+    glm::dvec3 texelDirection(double column, double cosine) const;
+    std::size_t texelAt(const glm::dvec3& direction) const;
+
     std::uint32_t width_ = 0, height_ = 0;  // 0: constant_
     glm::dvec3 constant_{0};
     glm::dmat3 to_world_{1.0}, to_map_{1.0};
     std::vector<glm::vec3> texels_;
+    // Luminance times solid angle, added up: over the rows, and within each row.
     std::vector<double> row_cdf_, texel_cdf_;
     double total_ = 0;
 };
