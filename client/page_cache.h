@@ -49,6 +49,12 @@ public:
     // The page's samples, or nullptr. Valid until the next insert().
     const float* find(const PageAddress& page) const;
     bool contains(const PageAddress& page) const { return index_.contains(page); }
+    // Resident, and found by a ray or inserted since beginPicture().
+    bool usedInPicture(const PageAddress& page) const {
+        const auto found = index_.find(page);
+        return found != index_.end() &&
+               slots_[found->second]->last_used.load(std::memory_order_relaxed) >= picture_begin_;
+    }
 
     // Later finds of what is resident now are hits.
     void beginPicture() {

@@ -32,6 +32,12 @@ public:
     // REQUIRES: begin() was successful, `index` is one of the footer's channels. Errors: those of
     // PagedChannel::create.
     Result<PagedChannel*> channel(std::uint32_t index);
+    // Those that were asked for, by index in the footer.
+    const std::map<std::uint32_t, PagedChannel>& channels() const { return channels_; }
+    // Most that a channel's pages can have.
+    int components() const { return components_; }
+    // False until begin() was successful for the first time.
+    bool begun() const { return cache_.has_value(); }
     // REQUIRES: begin() was successful.
     PageCache& cache() { return *cache_; }
     const PageCache& cache() const { return *cache_; }

@@ -72,9 +72,6 @@ Result<ConversionReport> convert(const ConversionOptions& options);
 // writes nothing. Errors: as of convert.
 Result<ConversionForecast> forecast(const ConversionOptions& options);
 
-// The summary of a channel that goes into the manifest.
-ChannelSummary summarizeChannel(const ChannelFooter& channel);
-
 const char* toString(NonFinite policy);
 
 }  // namespace brickyard

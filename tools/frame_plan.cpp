@@ -118,7 +118,7 @@ Result<FrameSet> FrameSet::parse(const std::string& text) {
         if (!number(range.first)) return invalid();
         range.last = range.first;
         if (accept('-') && (!number(range.last) || range.last < range.first)) return invalid();
-        if (accept(':') && (!number(range.step) || range.step == 0)) return invalid();
+        if ((accept(':') || accept('x')) && (!number(range.step) || range.step == 0)) return invalid();
         set.ranges_.push_back(range);
     } while (accept(','));
     if (at != end) return invalid();
@@ -129,6 +129,18 @@ bool FrameSet::contains(std::uint32_t frame) const {
     return std::ranges::any_of(ranges_, [&](const Range& range) {
         return frame >= range.first && frame <= range.last && (frame - range.first) % range.step == 0;
     });
+}
+
+std::optional<std::uint32_t> FrameSet::firstMissing(const std::set<std::uint32_t>& there) const {
+    std::optional<std::uint32_t> missing;
+    for (const Range& range : ranges_)
+        // In 64 bits: a step may lead beyond the last number there can be.
+        for (std::uint64_t frame = range.first; frame <= range.last; frame += range.step)
+            if (!there.contains(std::uint32_t(frame))) {
+                missing = std::min(missing.value_or(UINT32_MAX), std::uint32_t(frame));
+                break;
+            }
+    return missing;
 }
 
 Result<std::vector<FrameInputs>> planInputs(const std::vector<std::string>& inputs) {

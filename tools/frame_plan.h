@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <optional>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -16,12 +17,15 @@ struct FrameInputs {
     std::vector<std::filesystem::path> files;  // in the order they were named
 };
 
-// Frame numbers as a user lists them: "10-19", "1,5,10-20:2". A range may be huge; it is kept as such.
+// Frame numbers as a user lists them: "10-19", "1,5,10-20:2" or "10-20x2". A range may be huge; it is kept as
+// such.
 class FrameSet {
 public:
     // Errors: kInvalid.
     static Result<FrameSet> parse(const std::string& text);
     bool contains(std::uint32_t frame) const;
+    // The lowest number that is not `there`. Its cost is what is there, not what is asked for.
+    std::optional<std::uint32_t> firstMissing(const std::set<std::uint32_t>& there) const;
 
 private:
     struct Range {

@@ -42,9 +42,11 @@ constexpr CommandEntry kCommands[] = {
 #endif
 #ifdef BRICKYARD_WITH_CLIENT
     {"render", addRenderCommand, "BRICKYARD_CLIENT"},
+    {"bake", addBakeCommand, "BRICKYARD_CLIENT"},
     {"compare", addCompareCommand, "BRICKYARD_CLIENT"},
 #else
     {"render", nullptr, "BRICKYARD_CLIENT"},
+    {"bake", nullptr, "BRICKYARD_CLIENT"},
     {"compare", nullptr, "BRICKYARD_CLIENT"},
 #endif
 #ifdef BRICKYARD_WITH_OPENVDB

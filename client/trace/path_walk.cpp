@@ -32,8 +32,9 @@ double balance(double taken, double other) { return taken > 0 ? taken / (taken +
 }  // namespace
 
 struct PathWalk::Walk {
+    Walk(PathRandom& numbers, double moment) : random(numbers), time(moment) {}
     PathRandom& random;
-    double time = 0, lod = 0;
+    double time, lod = 0;
     glm::dvec3 weight{1};
     WorldRay ray;
     // Density per steradian with which `ray.direction` was picked.
@@ -242,8 +243,7 @@ RaySample PathWalk::sample(const WorldRay& ray, double end, double time, PathRan
     steps_.clear();
     RaySample out = march_.march(ray, end, time, 0, &steps_);
     const TracedWorld& world = reader_.world;
-    Walk walk{random};
-    walk.time = time;
+    Walk walk(random, time);
     double total = 0;
     cumulative_.clear();
     for (const MarchStep& step : steps_) cumulative_.push_back(total += step.transmittance * step.stopped);

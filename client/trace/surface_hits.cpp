@@ -24,8 +24,9 @@ const std::vector<PlacedHit>& SurfaceHits::along(const WorldRay& ray, RaySpan sp
             tracers_[s].crossings(index, span, context, most, found_) == SurfaceTracer::Found::kMissing;
         for (const SurfaceHit& hit : found_) hits_.push_back({s, hit});
     }
-    std::stable_sort(hits_.begin(), hits_.end(),
-                     [](const PlacedHit& a, const PlacedHit& b) { return a.hit.t < b.hit.t; });
+    std::sort(hits_.begin(), hits_.end(), [](const PlacedHit& a, const PlacedHit& b) {
+        return a.hit.t != b.hit.t ? a.hit.t < b.hit.t : a.surface < b.surface;
+    });
     for (std::size_t i = 0; i < hits_.size(); ++i)
         if (world_.surfaces[hits_[i].surface].settings->opacity >= 1) {
             hits_.resize(i + 1);

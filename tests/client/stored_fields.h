@@ -9,17 +9,19 @@
 
 namespace brickyard {
 
-// Frame 0 of a new dataset at `folder`, an octree for each field.
+// Frame 0 of a new dataset at `folder`, an octree for each field; a frame of another number is added to the
+// dataset that is there.
 inline Result<void> storeFields(const std::filesystem::path& folder,
                                 const std::vector<const FieldSource*>& fields, int edge = 8,
-                                double max_error = 0) {
+                                 double max_error = 0, std::uint32_t number = 0) {
     Manifest settings;
     settings.set_format_major(kFormatMajor);
     settings.set_brick_edge(std::uint32_t(edge));
     settings.set_nonfinite("reject");
-    auto writer = DatasetWriter::open(folder, settings, ExistingDataset::kOverwrite);
+    auto writer = DatasetWriter::open(folder, settings,
+                                      number == 0 ? ExistingDataset::kOverwrite : ExistingDataset::kAppend);
     if (!writer) return tl::unexpected(writer.error());
-    const auto temporary = (*writer)->temporaryFrame(0);
+    const auto temporary = (*writer)->temporaryFrame(number);
     if (!temporary) return tl::unexpected(temporary.error());
     auto frame = FrameWriter::create(*temporary);
     if (!frame) return tl::unexpected(frame.error());
@@ -32,7 +34,7 @@ inline Result<void> storeFields(const std::filesystem::path& folder,
     const auto finished = (*frame)->finish(*footer);
     if (!finished) return tl::unexpected(finished.error());
     FrameEntry entry;
-    entry.set_frame(0);
+    entry.set_frame(number);
     entry.set_file_bytes(finished->file_bytes);
     entry.set_footer_xxh64(finished->footer_checksum);
     if (auto committed = (*writer)->commitFrame(*temporary, entry); !committed) return committed;
