@@ -165,7 +165,7 @@ TEST(SurfaceTracerTest, FindsEveryCrossingOfNoise) {
     RandomRays rays(2);
     std::vector<SurfaceHit> hits;
     std::size_t found = 0;
-    for (int trial = 0; trial < 2000; ++trial) {
+    for (int trial = 0; trial < 400; ++trial) {
         const glm::dvec3 direction = rays.direction();
         const glm::dvec3 target(rays.uniform(-8, 8), rays.uniform(-8, 8), rays.uniform(-8, 8));
         const IndexRay ray({target - 50.0 * direction, direction}, Affine());
@@ -181,7 +181,7 @@ TEST(SurfaceTracerTest, FindsEveryCrossingOfNoise) {
                 EXPECT_GT(hits[i].entering ? value : -value, -1e-9);
             }
     }
-    EXPECT_GT(found, 10000u);
+    EXPECT_GT(found, 2000u);
 }
 
 TEST(SurfaceTracerTest, StaysExactFarFromTheWorldsOriginAndWithTinyVoxels) {
