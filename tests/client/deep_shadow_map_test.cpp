@@ -48,7 +48,9 @@ double transmittanceAt(const std::vector<ShadowVertex>& curve, double distance) 
 void expectWithin(const std::vector<ShadowVertex>& curve, double error) {
     const std::vector<ShadowVertex> stored = compressShadow(curve, error);
     // A piece may end within one of the given, so that both take a vertex.
-    if (error > 1e-12) ASSERT_LE(stored.size(), 2 * curve.size());
+    if (error > 1e-12) {
+        ASSERT_LE(stored.size(), 2 * curve.size());
+    }
     for (std::size_t i = 0; i + 1 < stored.size(); ++i) {
         ASSERT_LE(stored[i].distance, stored[i + 1].distance);
         ASSERT_LE(stored[i].depth, stored[i + 1].depth);
@@ -390,8 +392,12 @@ TEST(DeepShadowMapTest, DeviationsHoldAtEdgesAndAreSmallInSmoothMedia) {
         EXPECT_LT(beyond, 60) << edge;
         EXPECT_GT(variances, 0.7 * squares) << edge;
         // Edges: not more than is needed; smooth: near the compression's.
-        if (edge) EXPECT_LT(variances, 3 * squares);
-        if (!edge) EXPECT_LT(std::sqrt(variances / 20000), 2e-3);
+        if (edge) {
+            EXPECT_LT(variances, 3 * squares);
+        }
+        if (!edge) {
+            EXPECT_LT(std::sqrt(variances / 20000), 2e-3);
+        }
     }
 }
 
