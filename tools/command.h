@@ -21,6 +21,7 @@ void addExportCommand(CLI::App& app, int& status);
 void addSampleCommand(CLI::App& app, int& status);
 void addServeCommand(CLI::App& app, int& status);
 void addRenderCommand(CLI::App& app, int& status);
+void addSceneCommand(CLI::App& app, int& status);
 void addCompareCommand(CLI::App& app, int& status);
 void addSynthCommand(CLI::App& app, int& status);
 void addBenchCommand(CLI::App& app, int& status);
