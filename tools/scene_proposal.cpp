@@ -24,7 +24,7 @@ constexpr std::uint64_t kMostSamples = 1u << 21;
 constexpr double kAspect = 4.0 / 3;
 // Optical depth of the median column: a smoke with a body, and one that a fire shows through.
 constexpr double kSmokeDepth = 3.5, kFireDepth = 2.5;
-constexpr double kBrightest = 5;
+constexpr double kBrightest = 4;
 // Below that a fit is chance, and the channel is taken for world units a second at 24 frames a second.
 constexpr double kLeastExplained = 0.3;
 
@@ -191,17 +191,18 @@ private:
         const auto second =
             from == frame_ ? dataset_.openFrame(from + 1) : Result<std::shared_ptr<const BrickStore>>(store_);
         if (!second) return tl::unexpected(second.error());
-        const auto velocity = findChannel(**first, name),
-                   before = findChannel(**first, channel(density).name()),
-                   after = findChannel(**second, channel(density).name());
-        if (!velocity || !before || !after) return {};
         // Coarse: what is smaller has changed its shape from frame to frame.
-        const auto v = sampled(*first, *velocity, kMostSamples / 8, 1);
-        const auto d = sampled(*first, *before, kMostSamples / 8, 1),
-                   next = sampled(*second, *after, kMostSamples / 8, 1);
-        for (const auto* field : {&v, &d, &next})
+        const auto coarse = [&](const std::shared_ptr<const BrickStore>& store,
+                                const std::string& channel_name) {
+            const auto found = findChannel(*store, channel_name);
+            if (!found) return Result<SampledField>(SampledField());
+            return sampled(store, *found, kMostSamples / 8, 1);
+        };
+        const auto d = coarse(*first, channel(density).name()), v = coarse(*first, name),
+                   next_d = coarse(*second, channel(density).name()), next_v = coarse(*second, name);
+        for (const auto* field : {&d, &v, &next_d, &next_v})
             if (!*field) return tl::unexpected(field->error());
-        const VelocityFit fit = fitVelocityScale(*d, *v, *next);
+        const VelocityFit fit = fitVelocityScale({*d, *v}, {*next_d, *next_v});
         out_.velocity_explained = fit.explained;
         if (fit.explained >= kLeastExplained) medium.set_velocity_scale(rounded(fit.scale));
         return {};
@@ -217,19 +218,9 @@ private:
     }
 
     void addSurface(std::uint32_t index) {
-        const ChannelFooter& from = channel(index);
         Surface& surface = *out_.scene.add_surfaces();
-        surface.set_channel(from.name());
-        setColor(*surface.mutable_color(), {0.75, 0.75, 0.75});
-        surface.set_specular(0.2);
-        double diagonal = 0;
-        const auto& m = from.index_to_world();
-        for (int a = 0; a < 3 && m.size() == 16; ++a) {
-            const double edge = double(from.active_max(a)) - double(from.active_min(a)) + 1;
-            diagonal += edge * edge *
-                        (m[4 * a] * m[4 * a] + m[4 * a + 1] * m[4 * a + 1] + m[4 * a + 2] * m[4 * a + 2]);
-        }
-        surface.set_ambient_occlusion(rounded(0.1 * std::sqrt(diagonal)));
+        surface = defaultSurface(channel(index));
+        surface.set_ambient_occlusion(rounded(surface.ambient_occlusion()));
     }
 
     void addLights() {
