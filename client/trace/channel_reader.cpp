@@ -154,14 +154,14 @@ double ChannelReader::trilinear(const Entry& entry, const glm::dvec3& position, 
                  z = (position.z - entry.low.z) * entry.per_cell;
     const int i = std::clamp(int(x), 0, last), j = std::clamp(int(y), 0, last),
               k = std::clamp(int(z), 0, last);
-    const double fx = x - i, fy = y - j, fz = z - k;
+    // Samples are floats, and so is what lies between them.
+    const float fx = float(x - i), fy = float(y - j), fz = float(z - k);
     const std::size_t sy = std::size_t(shape.edgeSamples()), sz = sy * sy;
     const float* c = samples + shape.sampleAt(i, j, k);
-    auto mix = [](double a, double b, double t) { return a + (b - a) * t; };
-    const double y0 = mix(mix(double(c[0]), double(c[1]), fx), mix(double(c[sy]), double(c[sy + 1]), fx), fy);
-    const double y1 = mix(mix(double(c[sz]), double(c[sz + 1]), fx),
-                          mix(double(c[sz + sy]), double(c[sz + sy + 1]), fx), fy);
-    return mix(y0, y1, fz);
+    auto mix = [](float from, float to, float t) { return from + (to - from) * t; };
+    const float y0 = mix(mix(c[0], c[1], fx), mix(c[sy], c[sy + 1], fx), fy);
+    const float y1 = mix(mix(c[sz], c[sz + 1], fx), mix(c[sz + sy], c[sz + sy + 1], fx), fy);
+    return double(mix(y0, y1, fz));
 }
 
 // The kernels over 4^3 samples of the level's lattice, wherever they lie.

@@ -214,6 +214,7 @@ void TracePicture::makeLights() {
             world_.lights.push_back({light, shadows, l, false});
             continue;
         }
+        world_.has_environment = true;
         for (const EnvironmentMap::DistantLight& part : light.environment->distantLights(light.samples)) {
             WorldLight distant;
             distant.to_light = part.to_light;
