@@ -30,12 +30,7 @@ Result<PagedChannel> PagedChannel::create(const ChannelFooter& footer, std::uint
                                 "and cannot be drawn",
                                 footer.name(), footer.value_min(), footer.value_max()));
 
-    const std::vector<double> columns(footer.index_to_world().begin(), footer.index_to_world().end());
-    const Result<Affine> transform = Affine::fromColumns(columns);
-    if (!transform)
-        return fail(ErrorCode::kCorrupt,
-                    fmt::format("channel '{}': {}", footer.name(), transform.error().message));
-    channel.transform_ = *transform;
+    if (Result<void> placed = channel.place(footer); !placed) return tl::unexpected(placed.error());
     channel.background_bits_.assign(footer.background().begin(), footer.background().end());
     channel.background_ = toFloat(channel.type_, footer.background(0));
     channel.empty_ = footer.active_voxels() == 0;
@@ -51,6 +46,16 @@ Result<PagedChannel> PagedChannel::create(const ChannelFooter& footer, std::uint
     channel.head_level_.assign(channel.blocks_.size(), -1);
     if (!channel.blocks_.empty() && !channel.roots_.empty()) channel.head_level_[0] = channel.roots_[0].level;
     return channel;
+}
+
+Result<void> PagedChannel::place(const ChannelFooter& footer) {
+    const std::vector<double> columns(footer.index_to_world().begin(), footer.index_to_world().end());
+    const Result<Affine> transform = Affine::fromColumns(columns);
+    if (!transform)
+        return fail(ErrorCode::kCorrupt,
+                    fmt::format("channel '{}': {}", footer.name(), transform.error().message));
+    transform_ = *transform;
+    return {};
 }
 
 Result<void> PagedChannel::addBlock(std::uint32_t index, std::span<const std::byte> stored) {

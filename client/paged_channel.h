@@ -32,6 +32,8 @@ public:
     BrickShape shape() const { return shape_; }
     SampleType type() const { return type_; }
     const Affine& transform() const { return transform_; }
+    // Where a scene puts the channel, whatever has arrived of it. Errors: kCorrupt (no transform).
+    Result<void> place(const ChannelFooter& footer);
     int components() const { return int(background_bits_.size()); }  // 1 or 3
     float background() const { return background_; }                 // of the first component
     // One value a component.

@@ -52,6 +52,7 @@ struct RenderRequest {
     // Rays a pixel, stratified; 1: its centre. A picture that can be drawn the fast way is, where this is 1.
     std::uint32_t samples = 1;
     std::uint64_t seed = 0;
+    std::uint32_t most_bounces = 64;      // of a path
     std::optional<FieldFilter> filter;    // wins over the scene's
     std::optional<ShadowMethod> shadows;  // of lights that leave it open
     // Of the picture's size: rays end at its depth (Z, where above 0). Outlives the picture.

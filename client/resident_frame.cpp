@@ -8,7 +8,10 @@ namespace brickyard {
 
 Result<void> ResidentFrame::begin(const FrameFooter& footer, std::uint64_t file_bytes,
                                   std::uint64_t budget_bytes, int components) {
-    std::string stored = footer.SerializeAsString();
+    // Where a scene puts a channel makes no other frame of it.
+    FrameFooter unplaced = footer;
+    for (ChannelFooter& channel : *unplaced.mutable_channels()) channel.clear_index_to_world();
+    std::string stored = unplaced.SerializeAsString();
     if (!cache_ || stored != stored_footer_ || file_bytes != file_bytes_ || budget_bytes != budget_bytes_ ||
         components > components_) {
         const int edge = int(footer.brick_edge());
@@ -19,11 +22,13 @@ Result<void> ResidentFrame::begin(const FrameFooter& footer, std::uint64_t file_
         channels_.clear();
         cache_.emplace(budget_bytes, pageFloats(BrickShape{edge}, components));
         stored_footer_ = std::move(stored);
-        footer_ = footer;
         file_bytes_ = file_bytes;
         budget_bytes_ = budget_bytes;
         components_ = components;
     }
+    footer_ = footer;
+    for (auto& [index, channel] : channels_)
+        if (Result<void> placed = channel.place(footer.channels(int(index))); !placed) return placed;
     if (cache_->capacity() == 0)
         return fail(ErrorCode::kInvalid,
                     fmt::format("--cache {} is less than one brick of this dataset; give at least {} bytes",

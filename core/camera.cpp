@@ -76,10 +76,9 @@ Result<PinholeCamera> PinholeCamera::create(const Camera& camera, std::uint32_t 
     return pinhole;
 }
 
-WorldRay PinholeCamera::ray(std::uint32_t x, std::uint32_t y) const {
-    const double px =
-        (2 * (double(x) + 0.5) / double(width_) - 1) * half_height_ * double(width_) / double(height_);
-    const double py = (1 - 2 * (double(y) + 0.5) / double(height_)) * half_height_;
+WorldRay PinholeCamera::rayThrough(double x, double y) const {
+    const double px = (2 * x / double(width_) - 1) * half_height_ * double(width_) / double(height_);
+    const double py = (1 - 2 * y / double(height_)) * half_height_;
     return {eye_, glm::normalize(forward_ + right_ * px + up_ * py)};
 }
 

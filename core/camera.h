@@ -20,7 +20,17 @@ public:
     // 180)).
     static Result<PinholeCamera> create(const Camera& camera, std::uint32_t width, std::uint32_t height);
 
-    WorldRay ray(std::uint32_t x, std::uint32_t y) const;
+    WorldRay ray(std::uint32_t x, std::uint32_t y) const {
+        return rayThrough(double(x) + 0.5, double(y) + 0.5);
+    }
+    // Of a place in the picture, in pixels from its upper left corner.
+    WorldRay rayThrough(double x, double y) const;
+    // The same view from elsewhere.
+    PinholeCamera moved(const glm::dvec3& by) const {
+        PinholeCamera camera = *this;
+        camera.eye_ += by;
+        return camera;
+    }
     const glm::dvec3& eye() const { return eye_; }
     // Unit vectors; right x up = -forward.
     const glm::dvec3& forward() const { return forward_; }

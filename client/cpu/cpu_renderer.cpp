@@ -3,6 +3,7 @@
 #include <thread>
 
 #include "client/cpu/cpu_picture.h"
+#include "client/trace/trace_picture.h"
 #include "core/camera_framing.h"
 
 namespace brickyard {
@@ -176,6 +177,7 @@ namespace {
 class CpuRenderer final : public Renderer {
 public:
     Result<RenderOutcome> render(BrickSource& source, const RenderRequest& request) override {
+        if (!drawnByBeams(request)) return TracePicture(source, request).run();
         return CpuPicture(source, request).run();
     }
 };

@@ -36,6 +36,7 @@ public:
         glm::dvec3 radiance{0};
     };
     Pick pick(double u, double v) const;
+    bool constant() const { return width_ == 0; }
     double density(const glm::dvec3& direction) const;
 
     // The whole as `count` (about) distant lights: regions of equal power (Debevec. A Median Cut Algorithm

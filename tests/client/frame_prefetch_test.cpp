@@ -39,7 +39,7 @@ protected:
     void SetUp() override {
         for (int frame = 0; frame < 3; ++frame) {
             const FormulaField field = movedBlob(frame);
-            const Result<void> stored = storeFields(folder(), {&field}, 8, std::uint32_t(frame));
+            const Result<void> stored = storeFields(folder(), {&field}, 8, 0, std::uint32_t(frame));
             ASSERT_TRUE(stored) << stored.error().message;
         }
     }

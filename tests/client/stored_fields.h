@@ -13,7 +13,7 @@ namespace brickyard {
 // dataset that is there.
 inline Result<void> storeFields(const std::filesystem::path& folder,
                                 const std::vector<const FieldSource*>& fields, int edge = 8,
-                                std::uint32_t number = 0) {
+                                 double max_error = 0, std::uint32_t number = 0) {
     Manifest settings;
     settings.set_format_major(kFormatMajor);
     settings.set_brick_edge(std::uint32_t(edge));
@@ -27,6 +27,7 @@ inline Result<void> storeFields(const std::filesystem::path& folder,
     if (!frame) return tl::unexpected(frame.error());
     BuildOptions options;
     options.shape.edge_cells = edge;
+    options.max_error = max_error;
     const std::vector<BuildOptions> all(fields.size(), options);
     const auto footer = buildFrame(fields, all, **frame);
     if (!footer) return tl::unexpected(footer.error());

@@ -38,7 +38,7 @@ protected:
     std::filesystem::path dataset() const { return folder_ / "box.bricks"; }
     std::filesystem::path lit() const { return folder_ / "lit.bricks"; }
     void store(const std::vector<const FieldSource*>& fields, std::uint32_t frame = 0) {
-        const Result<void> stored = storeFields(dataset(), fields, 8, frame);
+        const Result<void> stored = storeFields(dataset(), fields, 8, 0, frame);
         ASSERT_TRUE(stored) << stored.error().message;
     }
     void storeBox() {

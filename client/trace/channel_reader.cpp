@@ -1,0 +1,279 @@
+#include "client/trace/channel_reader.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "client/cpu/node_error.h"
+#include "client/cpu/octree_walk.h"
+#include "client/trace/filter_weights.h"
+
+namespace brickyard {
+
+namespace {
+
+// std::floor is a call without SSE4.1.
+std::int64_t floorOf(double x) {
+    const std::int64_t i = std::int64_t(x);
+    return i - (x < double(i));
+}
+
+}  // namespace
+
+ChannelReader::ChannelReader(const PagedChannel& channel, FieldFilter filter, ReadAccuracy accuracy,
+                             const RayContext& context)
+    : channel_(&channel),
+      context_(&context),
+      filter_(filter),
+      accuracy_(accuracy),
+      edge_cells_(channel.shape().edge_cells) {
+    for (const NodeKey& root : channel.roots()) top_level_ = std::max(top_level_, int(root.level));
+}
+
+void ChannelReader::want(const WantedPage& page, std::uint32_t bytes) {
+    if (context_->wants) context_->wants->add(page, bytes, 1, context_->tile);
+}
+
+void ChannelReader::takeNode(const NodeRef& ref, const NodeKey& key, Entry& out) const {
+    const TreeBlock& block = *channel_->block(ref.block);
+    const NodeRecord& record = block.record(ref.node);
+    out.low = nodeLow(key, channel_->shape());
+    out.edge = cellEdge(key.level);
+    out.per_cell = 1 / out.edge;
+    out.samples = nullptr;
+    out.square = effectiveSquare(double(record.rms), double(record.bound)) * out.edge;
+    if (record.hasBrick()) return;
+    const std::span<const ValueBits> value = block.constant(ref.node);
+    const SampleType type = levelType(channel_->type(), key.level);
+    for (std::size_t c = 0; c < value.size() && c < 3; ++c) out.constant[c] = toFloat(type, value[c]);
+}
+
+// From the root down to the node that stands for `key`, or that has no child there.
+void ChannelReader::find(const NodeKey& key, const glm::dvec3& position, Entry& out) {
+    out.key = key;
+    out.missing = false;
+    out.samples = nullptr;
+    out.square = 0;
+    out.low = nodeLow(key, channel_->shape());
+    out.edge = cellEdge(key.level);
+    out.per_cell = 1 / out.edge;
+    const std::span<const ValueBits> background = channel_->backgroundBits();
+    for (std::size_t c = 0; c < background.size() && c < 3; ++c)
+        out.constant[c] = toFloat(channel_->type(), background[c]);
+
+    NodeRef ref;
+    NodeKey at{-1, 0, 0, 0};
+    for (std::size_t i = 0; i < channel_->roots().size(); ++i) {
+        const NodeKey& root = channel_->roots()[i];
+        const glm::dvec3 low = nodeLow(root, channel_->shape());
+        const double edge = nodeEdge(root, channel_->shape());
+        if (position.x >= low.x && position.x < low.x + edge && position.y >= low.y &&
+            position.y < low.y + edge && position.z >= low.z && position.z < low.z + edge) {
+            at = root;
+            ref = {0, std::uint32_t(i)};
+        }
+    }
+    if (at.level < 0) return;  // outside all roots: background
+
+    // The finest resident brick on the way down stands in for one that is missing.
+    Entry stand_in;
+    bool has_stand_in = false;
+    auto missing = [&](bool failed) {
+        if (has_stand_in) {
+            const NodeKey asked = out.key;
+            out = stand_in;
+            out.key = asked;
+        }
+        out.missing = !failed;
+    };
+    for (;;) {
+        const TreeBlock* block = channel_->block(ref.block);
+        if (!block) {
+            const WantedPage page{true, {channel_->index(), ref.block, 0, false}};
+            const bool failed = context_->failed && context_->failed->contains(page);
+            if (!failed) want(page, std::uint32_t(channel_->blockBytes(ref.block)));
+            return missing(failed);
+        }
+        if (ref.node >= block->nodeCount()) return;  // a block that lies about its roots: nothing there
+        const NodeRecord& record = block->record(ref.node);
+        const PageAddress page{channel_->index(), ref.block, ref.node, false};
+        const bool stays = at.level <= key.level || at.level == 0 || block->isLeaf(ref.node) ||
+                           effectiveSquare(double(record.rms), double(record.bound)) * cellEdge(at.level) <=
+                               accuracy_.square_budget;
+        if (stays || record.hasBrick()) {
+            const float* samples = record.hasBrick() ? context_->cache->find(page) : nullptr;
+            if (samples || (stays && !record.hasBrick())) {
+                Entry& taken = stays ? out : stand_in;
+                takeNode(ref, at, taken);
+                taken.samples = samples;
+                has_stand_in |= !stays;
+                if (stays) return;
+            }
+            if (stays) {
+                const bool failed = context_->failed && context_->failed->contains(WantedPage{false, page});
+                if (!failed) want({false, page}, record.payload_bytes);
+                if (!has_stand_in) {
+                    // Some value that the node may have.
+                    takeNode(ref, at, out);
+                    for (float& value : out.constant) value = 0.5f * (record.value_min + record.value_max);
+                }
+                return missing(failed);
+            }
+        }
+        // On to the child that holds the position.
+        const glm::dvec3 middle = nodeLow(at, channel_->shape()) + 0.5 * nodeEdge(at, channel_->shape());
+        const int octant =
+            int(position.x >= middle.x) | int(position.y >= middle.y) << 1 | int(position.z >= middle.z) << 2;
+        const unsigned valid = block->validMask(ref.node);
+        if (!(valid >> octant & 1)) return;  // background
+        const ChildrenRef first = block->children(ref.node);
+        ref = {first.block, first.first + std::uint32_t(__builtin_popcount(valid & ((1u << octant) - 1)))};
+        at = at.child(octant);
+    }
+}
+
+const ChannelReader::Entry& ChannelReader::entryAt(int level, const glm::dvec3& position) {
+    const double per_brick = 1 / (double(edge_cells_) * cellEdge(level));
+    const NodeKey key{level, std::int32_t(floorOf(position.x * per_brick)),
+                      std::int32_t(floorOf(position.y * per_brick)),
+                      std::int32_t(floorOf(position.z * per_brick))};
+    Entry& entry = entries_[key.octant() | (level & 1) << 3];
+    if (!(entry.key == key)) find(key, position, entry);
+    missed_ |= entry.missing;
+    return entry;
+}
+
+int ChannelReader::clampLevel(double lod) const { return std::clamp(int(lod), 0, top_level_); }
+
+double ChannelReader::trilinear(const Entry& entry, const glm::dvec3& position, int component) const {
+    if (!entry.samples) return double(entry.constant[component]);
+    const BrickShape shape = channel_->shape();
+    const float* samples = entry.samples + std::size_t(component) * shape.samples();
+    const int last = shape.edge_cells - 1;
+    const double x = (position.x - entry.low.x) * entry.per_cell,
+                 y = (position.y - entry.low.y) * entry.per_cell,
+                 z = (position.z - entry.low.z) * entry.per_cell;
+    const int i = std::clamp(int(x), 0, last), j = std::clamp(int(y), 0, last),
+              k = std::clamp(int(z), 0, last);
+    const double fx = x - i, fy = y - j, fz = z - k;
+    const std::size_t sy = std::size_t(shape.edgeSamples()), sz = sy * sy;
+    const float* c = samples + shape.sampleAt(i, j, k);
+    auto mix = [](double a, double b, double t) { return a + (b - a) * t; };
+    const double y0 = mix(mix(double(c[0]), double(c[1]), fx), mix(double(c[sy]), double(c[sy + 1]), fx), fy);
+    const double y1 = mix(mix(double(c[sz]), double(c[sz + 1]), fx),
+                          mix(double(c[sz + sy]), double(c[sz + sy + 1]), fx), fy);
+    return mix(y0, y1, fz);
+}
+
+// The kernels over 4^3 samples of the level's lattice, wherever they lie.
+double ChannelReader::filtered(const Entry& entry, int level, const glm::dvec3& position, int component) {
+    const double cell = cellEdge(level);
+    std::int64_t base[3];
+    double weights[3][4];
+    for (int a = 0; a < 3; ++a) {
+        const double p = position[a] / cell;
+        base[a] = floorOf(p);
+        filterWeights(filter_, p - double(base[a]), weights[a]);
+    }
+    // All in this brick, and the brick on this level.
+    if (entry.samples && entry.edge == cell) {
+        const BrickShape shape = channel_->shape();
+        std::int64_t local[3];
+        bool inside = true;
+        for (int a = 0; a < 3; ++a) {
+            local[a] = base[a] - std::int64_t(entry.low[a] / cell) - 1;
+            inside = inside && local[a] >= 0 && local[a] + 3 <= shape.edge_cells;
+        }
+        if (inside) {
+            const float* samples = entry.samples + std::size_t(component) * shape.samples();
+            double sum = 0;
+            for (int k = 0; k < 4; ++k)
+                for (int j = 0; j < 4; ++j) {
+                    const float* row =
+                        samples + shape.sampleAt(int(local[0]), int(local[1]) + j, int(local[2]) + k);
+                    double line = 0;
+                    for (int i = 0; i < 4; ++i) line += weights[0][i] * double(row[i]);
+                    sum += weights[2][k] * weights[1][j] * line;
+                }
+            return sum;
+        }
+    } else if (!entry.samples && !entry.missing && entry.edge > 4 * cell) {
+        // Deep inside a region of one value.
+        bool inside = true;
+        for (int a = 0; a < 3; ++a) {
+            const double low = entry.low[a], high = low + entry.edge * edge_cells_;
+            inside = inside && double(base[a] - 1) * cell >= low && double(base[a] + 2) * cell < high;
+        }
+        if (inside) return double(entry.constant[component]);
+    }
+    double sum = 0;
+    for (int k = 0; k < 4; ++k)
+        for (int j = 0; j < 4; ++j)
+            for (int i = 0; i < 4; ++i) {
+                const double weight = weights[0][i] * weights[1][j] * weights[2][k];
+                if (weight == 0) continue;
+                const glm::dvec3 sample(double(base[0] - 1 + i) * cell, double(base[1] - 1 + j) * cell,
+                                        double(base[2] - 1 + k) * cell);
+                sum += weight * trilinear(entryAt(level, sample), sample, component);
+            }
+    return sum;
+}
+
+double ChannelReader::onLevel(int level, const glm::dvec3& position, int component) {
+    if (filter_ == FieldFilter::kNearest) {
+        const double cell = cellEdge(level);
+        const glm::dvec3 sample(double(floorOf(position.x / cell + 0.5)) * cell,
+                                double(floorOf(position.y / cell + 0.5)) * cell,
+                                double(floorOf(position.z / cell + 0.5)) * cell);
+        return trilinear(entryAt(level, sample), sample, component);
+    }
+    const Entry& entry = entryAt(level, position);
+    if (filter_ == FieldFilter::kTrilinear) return trilinear(entry, position, component);
+    // Neighbours may take the entry's place.
+    const Entry copy = entry;
+    return filtered(copy, level, position, component);
+}
+
+double ChannelReader::blended(const glm::dvec3& position, double lod, int component) {
+    const int level = clampLevel(lod);
+    const double fine = onLevel(level, position, component);
+    const double share = level < top_level_ ? std::min(lod - level, 1.0) : 0;
+    if (!(share > 0)) return fine;
+    return fine + share * (onLevel(level + 1, position, component) - fine);
+}
+
+double ChannelReader::value(const glm::dvec3& position, double lod) { return blended(position, lod, 0); }
+
+glm::dvec3 ChannelReader::vector(const glm::dvec3& position, double lod) {
+    glm::dvec3 v;
+    for (int c = 0; c < 3; ++c) {
+        glm::dvec3 at = position;
+        if (channel_->staggered()) at[c] += 0.5;
+        v[c] = blended(at, lod, c);
+    }
+    return v;
+}
+
+glm::dvec3 ChannelReader::gradient(const glm::dvec3& position, double lod) {
+    const double reach = cellEdge(clampLevel(lod));
+    glm::dvec3 slope;
+    for (int a = 0; a < 3; ++a) {
+        glm::dvec3 before = position, behind = position;
+        before[a] -= reach;
+        behind[a] += reach;
+        slope[a] = (blended(behind, lod, 0) - blended(before, lod, 0)) / (2 * reach);
+    }
+    return slope;
+}
+
+double ChannelReader::cellEdgeAt(const glm::dvec3& position, double lod) {
+    return entryAt(clampLevel(lod), position).edge;
+}
+
+double ChannelReader::squareAt(const glm::dvec3& position, double lod) {
+    const int level = clampLevel(lod);
+    const double fine = entryAt(level, position).square;
+    const double share = level < top_level_ ? std::min(lod - level, 1.0) : 0;
+    return share > 0 ? fine + share * (entryAt(level + 1, position).square - fine) : fine;
+}
+
+}  // namespace brickyard

@@ -1,0 +1,249 @@
+#include "client/trace/ray_march.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+namespace brickyard {
+
+namespace {
+
+constexpr std::uint32_t kAmbientRays = 16;
+// Of a gradient-shaded medium or a surface without lights, what faces the eye edge-on keeps.
+constexpr double kHeadlightAmbient = 0.25;
+
+double greatest(const glm::dvec3& v) { return std::max({v.x, v.y, v.z}); }
+
+// (1 - exp(-x)) / x
+double meanTransmittance(double depth) {
+    return depth < 1e-6 ? 1 - 0.5 * depth : -std::expm1(-depth) / depth;
+}
+
+}  // namespace
+
+struct RayMarch::Ray {
+    WorldRay ray;
+    double time = 0;
+    double transmittance = 1;
+    double depth_variance = 0;  // of the optical depth so far
+    glm::dvec3 last_source{0};
+    double opaque = 0;  // below this transmittance the ray ends
+    std::vector<MarchStep>* steps = nullptr;
+    RaySample out;
+};
+
+// In-scattered radiance times 4 pi-normalised phase, before the albedo.
+glm::dvec3 RayMarch::scattered(std::size_t m, const glm::dvec3& point, const glm::dvec3& direction,
+                               double lod, double time, double& variance) {
+    const MediumSettings& settings = *reader_.world.media[m].settings;
+    glm::dvec3 sum(0);
+    for (std::size_t l = 0; l < reader_.world.lights.size(); ++l) {
+        const LightArrival arrival = arrivalAt(reader_.world.lights[l].light, point);
+        if (greatest(arrival.irradiance) == 0) continue;
+        const Reach reach = lights_.of(l, arrival, point, lod, time);
+        // Light goes -to_light before, and -direction (to the eye) after.
+        const double phase = settings.phase(glm::dot(arrival.to_light, direction));
+        sum += reach.transmittance * phase * arrival.irradiance;
+        const double deviation = reach.deviation * phase * greatest(arrival.irradiance);
+        variance += deviation * deviation;
+    }
+    return sum;
+}
+
+// Factor of a transfer function's colour.
+double RayMarch::shading(std::size_t m, const glm::dvec3& point, const glm::dvec3& direction, double lod,
+                         double time, glm::dvec3& light) {
+    const double amount = reader_.world.media[m].settings->transfer_shading;
+    light = glm::dvec3(1);
+    if (!(amount > 0)) return 0;
+    const glm::dvec3 slope = reader_.media[m].gradient(point, lod, time);
+    const double length = glm::length(slope);
+    if (!(length > 0)) return amount;
+    const glm::dvec3 normal = slope / length;
+    if (reader_.world.lights.empty()) {
+        light =
+            glm::dvec3(kHeadlightAmbient + (1 - kHeadlightAmbient) * std::abs(glm::dot(normal, direction)));
+        return amount;
+    }
+    // Towards the eye, so that a shell is lit on the side that is seen.
+    const glm::dvec3 facing = glm::dot(normal, direction) > 0 ? -normal : normal;
+    glm::dvec3 sum(0);
+    for (std::size_t l = 0; l < reader_.world.lights.size(); ++l) {
+        const LightArrival arrival = arrivalAt(reader_.world.lights[l].light, point);
+        const double cosine = glm::dot(facing, arrival.to_light);
+        if (!(cosine > 0) || greatest(arrival.irradiance) == 0) continue;
+        sum += lights_.of(l, arrival, point, lod, time).transmittance * cosine * arrival.irradiance;
+    }
+    light = sum / std::numbers::pi;
+    return amount;
+}
+
+void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
+    const double length = span.end - span.begin;
+    const double time = ray.time;
+    double depth = 0, variance = 0, light_variance = 0;
+    glm::dvec3 source(0), spread(0);  // radiance of the stretch if nothing were in front of it within it
+    const glm::dvec3 at[2] = {walk.at(span.begin + kGaussPoint * length),
+                              walk.at(span.end - kGaussPoint * length)};
+    const glm::dvec3 middle = walk.at(0.5 * (span.begin + span.end));
+    for (std::size_t m = 0; m < walk.mediumCount(); ++m) {
+        if (!walk.active(m)) continue;
+        MediumReader& reader = reader_.media[m];
+        const MediumSettings& settings = *reader.medium().settings;
+        const double lod = walk.lod(m);
+        if (walk.majorant(m).extinction > 0) {
+            double own = 0;
+            if (settings.transfer) {
+                double values[3];
+                for (int i = 0; i < 3; ++i)
+                    values[i] = reader.density(walk.at(span.begin + length * (0.001 + 0.499 * i)), lod, time);
+                for (int half = 0; half < 2; ++half) {
+                    const TransferFunction::Sample mean =
+                        settings.transfer->mean(values[half], values[half + 1]);
+                    const double part = settings.density_scale * mean.opacity * 0.5 * length;
+                    own += part;
+                    source += part * mean.color;
+                }
+                if (own > 0 && settings.transfer_shading > 0) {
+                    glm::dvec3 light;
+                    const double amount = shading(m, middle, ray.ray.direction, lod, time, light);
+                    source *= (1 - amount) + amount * light;
+                }
+            } else {
+                own = stretchDepth(reader, walk, m, span, time);
+                if (own > 0 && !ray.steps && !reader_.world.lights.empty()) {
+                    const glm::dvec3 albedo = reader.albedo(middle, lod, time);
+                    if (greatest(albedo) > 0) {
+                        double deviation = 0;
+                        source +=
+                            own * albedo * scattered(m, middle, ray.ray.direction, lod, time, deviation);
+                        light_variance += own * own * deviation;
+                    }
+                }
+            }
+            if (own > 0)
+                variance += length * reader.depthVariance(middle, lod, walk.indexRay(m).unitLength());
+            depth += own;
+        }
+        if (walk.majorant(m).emission > 0) {
+            const glm::dvec3 a = reader.emission(at[0], lod, time), b = reader.emission(at[1], lod, time);
+            source += 0.5 * length * (a + b);
+            spread += 0.5 * length * glm::abs(a - b);
+        }
+    }
+    if (ray.steps && depth > 0)
+        ray.steps->push_back({span, ray.transmittance, depth, -std::expm1(-depth), false, {}});
+    const double weight = ray.transmittance * meanTransmittance(depth);
+    ray.out.radiance += weight * source;
+    // What the levels of detail may change of what lies in front, and in here; and what the midpoint of a
+    // light that changes within the stretch may be off by.
+    const double share = depth > 0 ? 1 : 0;
+    const glm::dvec3 per_depth = depth > 0 ? source / depth : glm::dvec3(0);
+    ray.out.radiance_variance +=
+        share * variance * std::pow(ray.transmittance * greatest(per_depth), 2) +
+        ray.transmittance * ray.transmittance *
+            (light_variance + std::pow(0.05 * greatest(spread), 2) +
+             std::pow(0.05 * greatest(glm::abs(per_depth - ray.last_source)) * depth, 2));
+    if (depth > 0) ray.last_source = per_depth;
+    ray.depth_variance += variance;
+    const double before = 1 - ray.transmittance;
+    ray.transmittance *= std::exp(-depth);
+    marks_.push_back({span.end, before, 1 - ray.transmittance});
+}
+
+void RayMarch::media(Ray& ray, RaySpan span) {
+    if (reader_.media.empty()) return;
+    MediaWalk walk(reader_, ray.ray, span);
+    for (RaySpan piece; ray.transmittance > ray.opaque && walk.next(piece);) stretch(ray, walk, piece);
+}
+
+glm::dvec3 RayMarch::shade(const PlacedHit& hit, const glm::dvec3& point, const glm::dvec3& direction,
+                           const glm::dvec3& normal, double time, std::uint64_t seed) {
+    const TracedWorld& world = reader_.world;
+    const SurfaceSettings& surface = *world.surfaces[hit.surface].settings;
+    const double ambient = surfaces_->ambient(hit, normal, kAmbientRays, seed);
+    auto highlight = [&](const glm::dvec3& to_light) {
+        const glm::dvec3 half = glm::normalize(to_light - direction);
+        return surface.specular * std::pow(std::max(0.0, glm::dot(half, normal)), 60.0);
+    };
+    if (world.lights.empty()) {
+        const double facing = std::abs(glm::dot(normal, direction));
+        return ambient * (kHeadlightAmbient + (1 - kHeadlightAmbient) * facing) * surface.color +
+               glm::dvec3(highlight(-direction));
+    }
+    glm::dvec3 sum(0);
+    for (std::size_t l = 0; l < world.lights.size(); ++l) {
+        const TracedLight& light = world.lights[l];
+        const LightArrival arrival = arrivalAt(light.light, point);
+        const double cosine = glm::dot(normal, arrival.to_light);
+        if (!(cosine > 0) || greatest(arrival.irradiance) == 0) continue;
+        const double reach = lights_.of(l, arrival, point, 0, time).transmittance;
+        if (reach == 0) continue;
+        const double open = light.of_environment ? ambient : 1;
+        sum += open * reach * cosine * arrival.irradiance *
+               (surface.color / std::numbers::pi + highlight(arrival.to_light));
+    }
+    return sum;
+}
+
+RaySample RayMarch::march(const WorldRay& world_ray, double end, double time, std::uint64_t seed,
+                          std::vector<MarchStep>* steps) {
+    const TracedWorld& world = reader_.world;
+    Ray ray;
+    ray.ray = world_ray;
+    ray.time = time;
+    ray.steps = steps;
+    ray.opaque = world.quality.reference ? 1e-9 : std::min(1e-4, 0.02 * world.quality.max_error);
+    marks_.clear();
+    double from = 0;
+    if (surfaces_) {
+        const std::vector<PlacedHit> hits = surfaces_->along(world_ray, {0, end});
+        for (const PlacedHit& hit : hits) {
+            media(ray, {from, hit.hit.t});
+            if (!(ray.transmittance > ray.opaque)) break;
+            const SurfaceSettings& surface = *world.surfaces[hit.surface].settings;
+            if (steps) {
+                steps->push_back({{from, hit.hit.t}, ray.transmittance, 0, surface.opacity, true, hit});
+            } else {
+                const glm::dvec3 point = world_ray.origin + hit.hit.t * world_ray.direction;
+                const glm::dvec3 normal = surfaces_->normal(hit, world_ray.direction);
+                ray.out.radiance += ray.transmittance * surface.opacity *
+                                    shade(hit, point, world_ray.direction, normal, time, seed);
+            }
+            const double before = 1 - ray.transmittance;
+            ray.transmittance *= 1 - surface.opacity;
+            marks_.push_back({hit.hit.t, before, 1 - ray.transmittance});
+            from = hit.hit.t;
+        }
+    }
+    if (ray.transmittance > ray.opaque) media(ray, {from, end});
+    if (!(ray.transmittance > ray.opaque)) ray.transmittance = 0;
+
+    ray.out.alpha = 1 - ray.transmittance;
+    ray.out.alpha_variance = ray.transmittance * ray.transmittance * ray.depth_variance;
+    ray.out.radiance_variance +=
+        std::pow(greatest(ray.out.radiance), 2) * ray.depth_variance * ray.transmittance;
+    double previous = 0;
+    for (const Mark& mark : marks_) {
+        if (2 * mark.alpha >= ray.out.alpha && mark.alpha > 0) {
+            const double rise = mark.alpha - mark.alpha_before;
+            const double part =
+                rise > 0 ? std::clamp((0.5 * ray.out.alpha - mark.alpha_before) / rise, 0.0, 1.0) : 1;
+            // A surface rises at one place; a stretch is short.
+            ray.out.depth =
+                previous > 0 && mark.t > previous ? previous + part * (mark.t - previous) : mark.t;
+            break;
+        }
+        previous = mark.t;
+    }
+    // The sky, where the light is to be seen.
+    if (end == std::numeric_limits<double>::infinity())
+        for (const WorldLight& light : world.settings.lights)
+            if (light.visible && light.environment) {
+                ray.out.radiance += ray.transmittance * light.environment->radiance(world_ray.direction);
+                ray.out.alpha = 1;
+            }
+    return ray.out;
+}
+
+}  // namespace brickyard
