@@ -1,5 +1,6 @@
 #include "client/default_scene.h"
 
+#include <cmath>
 #include <glm/geometric.hpp>
 #include <glm/vec3.hpp>
 
@@ -36,6 +37,22 @@ std::optional<std::uint32_t> onlyLevelSet(const FrameFooter& frame) {
     return found;
 }
 
+Surface defaultSurface(const ChannelFooter& channel) {
+    Surface surface;
+    surface.set_channel(channel.name());
+    for (int c = 0; c < 3; ++c) surface.add_color(0.75f);
+    surface.set_specular(0.2);
+    double diagonal = 0;
+    const auto& m = channel.index_to_world();
+    for (int a = 0; a < 3 && m.size() == 16 && channel.active_min_size() == 3; ++a) {
+        const double edge = double(channel.active_max(a)) - double(channel.active_min(a)) + 1;
+        const glm::dvec3 axis(m[4 * a], m[4 * a + 1], m[4 * a + 2]);
+        diagonal += edge * edge * glm::dot(axis, axis);
+    }
+    if (std::isfinite(diagonal)) surface.set_ambient_occlusion(0.1 * std::sqrt(diagonal));
+    return surface;
+}
+
 void addStudioLights(const Camera& camera, double key_irradiance, double sky_radiance, Scene& scene) {
     const glm::dvec3 view = glm::normalize(vectorOf(camera.target()) - vectorOf(camera.eye()));
     const glm::dvec3 right = glm::normalize(glm::cross(view, vectorOf(camera.up()))),
@@ -58,7 +75,7 @@ Scene defaultScene(const FrameFooter& frame) {
     const ChannelFooter& channel = frame.channels(int(*level_set));
     // A fog under that class has no inside.
     if (!(channel.value_min() < 0 && channel.value_max() > 0)) return scene;
-    scene.add_surfaces()->set_channel(channel.name());
+    *scene.add_surfaces() = defaultSurface(channel);
     addStudioLights(frameChannel(channel, 1.5), 3, 0.25, scene);
     return scene;
 }

@@ -13,6 +13,10 @@ namespace brickyard {
 // The one scalar channel of class "level set" that has active voxels; nothing where there is none, or more.
 std::optional<std::uint32_t> onlyLevelSet(const FrameFooter& frame);
 
+// The channel where it is 0: grey, with a soft highlight, and darker where a tenth of its box's diagonal
+// closes it in. REQUIRES: it has active voxels.
+Surface defaultSurface(const ChannelFooter& channel);
+
 // A frame whose one channel with scalars in it is a level set, with values on both sides of 0, is a surface
 // under a key light and a faint sky. Any other is a medium that says nothing of itself, without a light.
 Scene defaultScene(const FrameFooter& frame);

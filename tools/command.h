@@ -22,6 +22,7 @@ void addSampleCommand(CLI::App& app, int& status);
 void addServeCommand(CLI::App& app, int& status);
 void addRenderCommand(CLI::App& app, int& status);
 void addBakeCommand(CLI::App& app, int& status);
+void addSceneCommand(CLI::App& app, int& status);
 void addCompareCommand(CLI::App& app, int& status);
 void addSynthCommand(CLI::App& app, int& status);
 void addBenchCommand(CLI::App& app, int& status);

@@ -41,10 +41,12 @@ constexpr CommandEntry kCommands[] = {
     {"serve", nullptr, "BRICKYARD_SERVER"},
 #endif
 #ifdef BRICKYARD_WITH_CLIENT
+    {"scene", addSceneCommand, "BRICKYARD_CLIENT"},
     {"render", addRenderCommand, "BRICKYARD_CLIENT"},
     {"bake", addBakeCommand, "BRICKYARD_CLIENT"},
     {"compare", addCompareCommand, "BRICKYARD_CLIENT"},
 #else
+    {"scene", nullptr, "BRICKYARD_CLIENT"},
     {"render", nullptr, "BRICKYARD_CLIENT"},
     {"bake", nullptr, "BRICKYARD_CLIENT"},
     {"compare", nullptr, "BRICKYARD_CLIENT"},

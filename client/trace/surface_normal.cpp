@@ -105,12 +105,12 @@ SurfaceTracer::Found SurfaceTracer::normal(const SurfaceHit& hit, const glm::dve
                                            double worth, bool* failed) const {
     normal = hit.entering ? -direction : direction;
     if (!hit.has_node) return Found::kHit;
-    FieldReader reader(channel_, context, worth, MissingPages::kWant);
-    const auto field = reader.read({hit.node, hit.key, channel_.block(hit.node.block)});
-    if (field.state == FieldReader::State::kMissing) return Found::kMissing;
+    NodeFields fields(channel_, context, worth, MissingPages::kWant);
+    const auto field = fields.read({hit.node, hit.key, channel_.block(hit.node.block)});
+    if (field.state == NodeFields::State::kMissing) return Found::kMissing;
     // A page that has failed since.
     if (failed && (field.failed || hit.failed)) *failed = true;
-    if (field.state != FieldReader::State::kBrick || !(field.node.key == hit.key)) return Found::kHit;
+    if (field.state != NodeFields::State::kBrick || !(field.node.key == hit.key)) return Found::kHit;
     const BrickShape shape = channel_.shape();
     outwards(cellGradient(field.samples, shape, hit.cell, hit.inside), normal);
 
@@ -137,12 +137,12 @@ SurfaceTracer::Found SurfaceTracer::normal(const SurfaceHit& hit, const glm::dve
                 double value = 0;
                 if (!own) {
                     const auto sample =
-                        reader.sample(hit.key.level, {base[0] + at[0], base[1] + at[1], base[2] + at[2]});
-                    missing = missing || sample.state == FieldReader::State::kMissing;
+                        fields.sample(hit.key.level, {base[0] + at[0], base[1] + at[1], base[2] + at[2]});
+                    missing = missing || sample.state == NodeFields::State::kMissing;
                     if (failed && sample.failed) *failed = true;
                     value = sample.value;
                     // What nobody knows is taken to go on as it is at the border.
-                    own = sample.state == FieldReader::State::kUnknown;
+                    own = sample.state == NodeFields::State::kUnknown;
                     for (int& c : at) c = std::clamp(c, 0, shape.edge_cells);
                 }
                 if (own) value = double(field.samples[shape.sampleAt(at[0], at[1], at[2])]);

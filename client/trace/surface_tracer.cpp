@@ -40,8 +40,8 @@ Cubic alongCell(const Cell& cell, double iso, double sign, const glm::dvec3& fro
 // One ray under way: the side it is on, and what it has crossed.
 class SurfaceTracer::Trace {
 public:
-    using NodeField = FieldReader::NodeField;
-    using State = FieldReader::State;
+    using NodeField = NodeFields::NodeField;
+    using State = NodeFields::State;
 
     Trace(const SurfaceTracer& tracer, const IndexRay& ray, const RayContext& context, double worth,
           MissingPages missing, std::size_t most, std::vector<SurfaceHit>& hits)
@@ -50,7 +50,7 @@ public:
           ray_(ray),
           context_(context),
           worth_(worth),
-          reader_(channel_, context, worth, missing),
+          fields_(channel_, context, worth, missing),
           stands_in_(missing == MissingPages::kStandIn),
           most_(most),
           hits_(hits),
@@ -112,7 +112,7 @@ private:
 
     bool descend(const WalkedNode& node) const {
         const PlacedNode placed{node.ref, node.key, node.block};
-        return node.key.level > tracer_.level_ && !sideOf(placed) && !reader_.childrenBarred(placed);
+        return node.key.level > tracer_.level_ && !sideOf(placed) && !fields_.childrenBarred(placed);
     }
 
     void visit(const WalkedNode& node) {
@@ -122,13 +122,13 @@ private:
             // Children of a block that cannot be had are not asked for, so this is the roots' own.
             const WantedPage page{true, {channel_.index(), node.missing_block, 0}};
             if (context_.failed->contains(page) || stands_in_) return unknown();
-            reader_.wantBlock(node.missing_block);
+            fields_.wantBlock(node.missing_block);
             return gap();
         }
         const PlacedNode placed{node.ref, node.key, node.block};
         if (const auto side = sideOf(placed)) return stretch(node.span.begin, *side, nullptr);
         if (node.key.level > tracer_.level_ && canDescend(node)) failed_ = true;
-        const NodeField field = reader_.read(placed);
+        const NodeField field = fields_.read(placed);
         failed_ = failed_ || field.failed;
         switch (field.state) {
             case State::kMissing: return gap();
@@ -228,7 +228,7 @@ private:
         missing_ = waits_ = true;
         last_node_.block = nullptr;
         worth_ *= kWorthBehind;
-        reader_.setWorth(worth_);
+        fields_.setWorth(worth_);
     }
     void unknown() {
         failed_ = true;
@@ -240,7 +240,7 @@ private:
     const IndexRay& ray_;
     const RayContext& context_;
     double worth_;
-    FieldReader reader_;
+    NodeFields fields_;
     bool stands_in_;
     std::size_t most_;
     std::vector<SurfaceHit>& hits_;

@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "client/cpu/channel_ray.h"
-#include "client/trace/field_reader.h"
+#include "client/trace/node_fields.h"
 #include "client/world_settings.h"
 
 namespace brickyard {

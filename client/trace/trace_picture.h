@@ -14,6 +14,7 @@
 #include "client/frame_stream.h"
 #include "client/renderer.h"
 #include "client/trace/path_walk.h"
+#include "client/trace/shadow_maps.h"
 #include "client/trace/traced_world.h"
 
 namespace brickyard {
@@ -31,6 +32,22 @@ private:
     struct Worker {
         std::vector<WantList> wants;       // by stream
         std::vector<RayContext> contexts;  // by stream
+    };
+    // What it reads a tile or a block with.
+    struct Readers {
+        Readers(const TracedWorld& world, std::span<const RayContext> contexts)
+            : view(world, contexts), shadow(world, contexts) {
+            if (!world.surfaces.empty()) surfaces.emplace(world, contexts);
+        }
+        SurfaceHits* hits() { return surfaces ? &*surfaces : nullptr; }
+        bool takeMissed() {
+            bool missed = view.takeMissed();
+            missed |= shadow.takeMissed();
+            if (surfaces) missed |= surfaces->takeMissed();
+            return missed;
+        }
+        WorldReader view, shadow;
+        std::optional<SurfaceHits> surfaces;
     };
     // What has been summed up of a pixel's samples.
     struct PixelSum {

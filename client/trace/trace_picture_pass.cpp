@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <thread>
 
 #include "client/trace/trace_picture.h"
@@ -23,6 +24,8 @@ constexpr int kMostIdlePasses = 64;
 // The first wish of a cold client: an overview, chosen by the source.
 constexpr std::uint64_t kOverviewBytes = 256u << 10;
 constexpr float kOverviewPixelsPerVoxel = 16;
+
+constexpr const char* kSmallCache = "--cache holds too few bricks for a few rays of this scene; give it more";
 
 double secondsSince(std::chrono::steady_clock::time_point begin) {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
@@ -184,13 +187,10 @@ void TracePicture::traceTile(std::size_t index, Worker& worker) {
         tile.have.assign(tile.round.size(), 0);
         rounds_.fetch_add(tile.round.size(), std::memory_order_relaxed);
     }
-    WorldReader view(world_, worker.contexts), shadow(world_, worker.contexts);
-    std::optional<SurfaceHits> surfaces;
-    if (!world_.surfaces.empty()) surfaces.emplace(world_, worker.contexts);
-    SurfaceHits* hits = surfaces ? &*surfaces : nullptr;
-    LightReach lights(shadow, hits, maps_ ? &*maps_ : nullptr);
-    RayMarch march(view, lights, hits);
-    PathWalk walk(view, march, hits, request_.most_bounces);
+    Readers readers(world_, worker.contexts);
+    LightReach lights(readers.shadow, readers.hits(), maps_ ? &*maps_ : nullptr);
+    RayMarch march(readers.view, lights, readers.hits());
+    PathWalk walk(readers.view, march, readers.hits(), request_.most_bounces);
     std::uint64_t finished = 0;
     bool complete = true;
     for (std::uint32_t i = 0; i < pixels; ++i) {
@@ -208,9 +208,7 @@ void TracePicture::traceTile(std::size_t index, Worker& worker) {
                 continue;
             }
             tile.round[at] = traceSample(x, y, sum.samples + k, march, walk);
-            bool missed = view.takeMissed();
-            missed |= shadow.takeMissed();
-            if (hits) missed |= hits->takeMissed();
+            const bool missed = readers.takeMissed();
             tile.have[at] = !missed;
             complete = complete && !missed;
             finished += !missed;
@@ -299,9 +297,7 @@ Result<void> TracePicture::draw() {
         }
         if (!missedAnything()) continue;
         idle = finished_samples_.load() == 0 ? idle + 1 : 0;
-        if (idle > kMostIdlePasses)
-            return fail(ErrorCode::kInvalid,
-                        "--cache holds too few bricks for a single ray of this scene; give it more");
+        if (idle > kMostIdlePasses) return fail(ErrorCode::kInvalid, kSmallCache);
         const Result<bool> more = stream();
         if (!more) return tl::unexpected(more.error());
         if (!*more) return {};
@@ -357,6 +353,7 @@ void TracePicture::finish() {
         outcome_.cache.reloads += cache.reloads;
         outcome_.tree_bytes += stream.treeBytes();
     }
+    if (maps_) outcome_.light_bytes = maps_->bytes();
     outcome_.final = all_done && outcome_.not_final.failed == 0;
     outcome_.method = request_.path ? "path" : "march";
     outcome_.samples = 0;
@@ -366,7 +363,34 @@ void TracePicture::finish() {
     outcome_.seconds_total = secondsSince(begin_);
 }
 
-Result<bool> TracePicture::buildShadowMaps() { return true; }
+Result<bool> TracePicture::buildShadowMaps() {
+    if (request_.path) return true;  // paths find their own way to the lights
+    maps_.emplace(world_);
+    std::vector<std::uint32_t> open_blocks(maps_->blockCount());
+    std::iota(open_blocks.begin(), open_blocks.end(), 0u);
+    std::vector<std::uint8_t> filled(maps_->blockCount(), 0);
+    int idle = 0;
+    while (!open_blocks.empty()) {
+        if (late()) return false;
+        pass(open_blocks.size(), [&](std::size_t i, Worker& worker) {
+            for (const RayContext& context : worker.contexts)
+                if (context.full()) return;
+            Readers readers(world_, worker.contexts);
+            maps_->fill(open_blocks[i], readers.view, readers.hits());
+            filled[open_blocks[i]] = !readers.takeMissed();
+        });
+        const std::size_t before = open_blocks.size();
+        std::erase_if(open_blocks, [&](std::uint32_t block) { return filled[block] != 0; });
+        if (open_blocks.empty()) break;
+        idle = open_blocks.size() == before ? idle + 1 : 0;
+        if (idle > kMostIdlePasses) return fail(ErrorCode::kInvalid, kSmallCache);
+        const Result<bool> more = stream();
+        if (!more) return tl::unexpected(more.error());
+        if (!*more && missedAnything()) return false;
+    }
+    maps_->calibrate();
+    return true;
+}
 
 Result<RenderOutcome> TracePicture::run() {
     if (Result<void> opened = open(); !opened) return tl::unexpected(opened.error());

@@ -94,7 +94,9 @@ void check(const Cubic& cubic) {
         for (std::size_t i = 0; i < std::size_t(found->count); ++i) {
             EXPECT_GE(found->at[i], 0);
             EXPECT_LE(found->at[i], 1);
-            if (i > 0) EXPECT_GE(found->at[i], found->at[i - 1]);
+            if (i > 0) {
+                EXPECT_GE(found->at[i], found->at[i - 1]);
+            }
             // Backward stable: a root of a cubic whose control points are off by a few roundings.
             EXPECT_LE(std::abs(valueAt(powers, found->at[i])), 2e-15L * size) << "at " << found->at[i];
         }
@@ -155,11 +157,11 @@ TEST(CubicRootsTest, FindTouchesAndDegenerateCubics) {
         ASSERT_EQ(found.count, int(expected.size())) << cubic.control[0] << " " << cubic.control[3];
         for (std::size_t i = 0; i < expected.size(); ++i) EXPECT_NEAR(found.at[i], expected[i], tolerance);
     };
-    expectRoots(Cubic::fromPowers(0.0625, -0.5, 1, 0), {0.25}, 1e-8);        // (s - 1/4)^2
-    expectRoots(Cubic::fromPowers(-0.125, 0.75, -1.5, 1), {0.5}, 1e-5);      // (s - 1/2)^3
-    expectRoots(Cubic::fromPowers(0.125, -0.4375, 0.25, 0.25), {0.5}, 1e-7);   // not monotone; a double root
-    expectRoots(Cubic::fromPowers(1, -4, 0, 0), {0.25}, 1e-15);              // a line
-    expectRoots(Cubic::fromPowers(2, -9, 9, 0), {1.0 / 3, 2.0 / 3}, 1e-14);  // a parabola
+    expectRoots(Cubic::fromPowers(0.0625, -0.5, 1, 0), {0.25}, 1e-8);         // (s - 1/4)^2
+    expectRoots(Cubic::fromPowers(-0.125, 0.75, -1.5, 1), {0.5}, 1e-5);       // (s - 1/2)^3
+    expectRoots(Cubic::fromPowers(0.125, -0.4375, 0.25, 0.25), {0.5}, 1e-7);  // not monotone; a double root
+    expectRoots(Cubic::fromPowers(1, -4, 0, 0), {0.25}, 1e-15);               // a line
+    expectRoots(Cubic::fromPowers(2, -9, 9, 0), {1.0 / 3, 2.0 / 3}, 1e-14);   // a parabola
     expectRoots(Cubic::fromPowers(0, 0, 0, 0), {0}, 0);
     expectRoots(Cubic::fromPowers(3, 0, 0, 0), {}, 0);
     expectRoots(Cubic::fromPowers(0, 1, 0, 0), {0}, 0);

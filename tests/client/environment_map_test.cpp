@@ -134,7 +134,9 @@ TEST(EnvironmentMapTest, DistantLightsAddUpToTheWhole) {
             for (int c = 0; c < 3; ++c)
                 EXPECT_NEAR(sum[c], whole[c], 1e-12 * whole[c]) << width << " " << count;
             EXPECT_LE(lights.size(), count);
-            if (width == 32 && count <= 64) EXPECT_EQ(lights.size(), count);
+            if (width == 32 && count <= 64) {
+                EXPECT_EQ(lights.size(), count);
+            }
         }
     }
     const auto even = EnvironmentMap(glm::dvec3(1, 2, 3)).distantLights(24);
@@ -242,7 +244,7 @@ TEST_F(EnvironmentFileTest, AHugePictureIsRefusedBeforeItTakesMemory) {
     const std::size_t at = bytes.find("dataWindow") + std::string("dataWindow\0box2i\0", 17).size() + 4;
     for (const std::size_t corner : {at + 8, at + 12})
         bytes[corner + 1] = char(0x40);  // 16 thousand each way
-    bytes.append(1 << 17, '\0');  // where its table of lines would be
+    bytes.append(1 << 17, '\0');         // where its table of lines would be
     std::ofstream(file, std::ios::binary) << bytes;
     const auto map = EnvironmentMap::read(file, glm::dvec3(1), {0, 0, 1}, 0);
     ASSERT_FALSE(map);

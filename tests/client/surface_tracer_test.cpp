@@ -75,7 +75,9 @@ void expectClosed(StoredChannel& stored, const SurfaceTracer& tracer, int trials
         ASSERT_EQ(hits.size() % 2, 0u) << "trial " << trial << " of level " << tracer.level();
         for (std::size_t i = 0; i < hits.size(); ++i) {
             ASSERT_EQ(hits[i].entering, i % 2 == 0);
-            if (i > 0) ASSERT_GE(hits[i].t, hits[i - 1].t);
+            if (i > 0) {
+                ASSERT_GE(hits[i].t, hits[i - 1].t);
+            }
             ASSERT_LT(glm::length(ray.origin + hits[i].t * ray.direction - hits[i].index), 1e-9);
             ASSERT_NEAR(glm::length(hits[i].index - kCentre), kRadius,
                         slack + 0.1 + 0.2 * (1 << 2 * tracer.level()));
@@ -165,7 +167,7 @@ TEST(SurfaceTracerTest, FindsEveryCrossingOfNoise) {
     RandomRays rays(2);
     std::vector<SurfaceHit> hits;
     std::size_t found = 0;
-    for (int trial = 0; trial < 2000; ++trial) {
+    for (int trial = 0; trial < 400; ++trial) {
         const glm::dvec3 direction = rays.direction();
         const glm::dvec3 target(rays.uniform(-8, 8), rays.uniform(-8, 8), rays.uniform(-8, 8));
         const IndexRay ray({target - 50.0 * direction, direction}, Affine());
@@ -181,7 +183,7 @@ TEST(SurfaceTracerTest, FindsEveryCrossingOfNoise) {
                 EXPECT_GT(hits[i].entering ? value : -value, -1e-9);
             }
     }
-    EXPECT_GT(found, 10000u);
+    EXPECT_GT(found, 2000u);
 }
 
 TEST(SurfaceTracerTest, StaysExactFarFromTheWorldsOriginAndWithTinyVoxels) {
@@ -208,7 +210,9 @@ TEST(SurfaceTracerTest, StaysExactFarFromTheWorldsOriginAndWithTinyVoxels) {
             ASSERT_EQ(hits.size() % 2, 0u);
             for (const SurfaceHit& hit : hits) ASSERT_NEAR(field.at(hit.index), 0, 1e-6);
             const double aside = glm::length(glm::cross(kCentre - index_ray.origin, index_ray.direction));
-            if (aside < kRadius - 2) ASSERT_EQ(hits.size(), 2u);
+            if (aside < kRadius - 2) {
+                ASSERT_EQ(hits.size(), 2u);
+            }
         }
     }
 }

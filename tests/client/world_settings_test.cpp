@@ -341,6 +341,7 @@ TEST(WorldSettingsTest, SurfacesAloneHaveNoMediumAndALevelSetIsOneByItself) {
     EXPECT_TRUE(by_itself->media.empty());
     ASSERT_EQ(by_itself->surfaces.size(), 1u);
     EXPECT_TRUE(by_itself->surfaces[0].inside_below);
+    EXPECT_NEAR(by_itself->surfaces[0].ambient_occlusion, 0.1 * 5 * std::sqrt(3), 1e-9) << "of its box";
     EXPECT_EQ(by_itself->lights.size(), 2u) << "a key and a sky, or one sees nothing";
     const auto lit = bindOne(R"({"lights":[{}]})", levelSetFooter());
     ASSERT_TRUE(lit);

@@ -24,10 +24,10 @@ enum class MissingPages : std::uint8_t {
 };
 
 // One channel's field, for as long as a pass lasts.
-class FieldReader {
+class NodeFields {
 public:
     // `worth` is that of every page it wants.
-    FieldReader(const PagedChannel& channel, const RayContext& context, double worth, MissingPages missing)
+    NodeFields(const PagedChannel& channel, const RayContext& context, double worth, MissingPages missing)
         : channel_(channel), context_(context), worth_(worth), missing_(missing) {}
     const PagedChannel& channel() const { return channel_; }
 

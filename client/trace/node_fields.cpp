@@ -1,4 +1,4 @@
-#include "client/trace/field_reader.h"
+#include "client/trace/node_fields.h"
 
 #include <bit>
 
@@ -16,19 +16,19 @@ NodeKey ancestorAt(const NodeKey& key, int level) {
 
 }  // namespace
 
-void FieldReader::wantBlock(std::uint32_t block) const {
+void NodeFields::wantBlock(std::uint32_t block) const {
     if (missing_ == MissingPages::kWant)
         context_.wants->add({true, {channel_.index(), block, 0}}, std::uint32_t(channel_.blockBytes(block)),
                             worth_, context_.tile);
 }
 
-bool FieldReader::childrenBarred(const PlacedNode& node) const {
+bool NodeFields::childrenBarred(const PlacedNode& node) const {
     const std::uint32_t block = node.block->children(node.ref.node).block;
     if (context_.failed->contains({true, {channel_.index(), block, 0}})) return true;
     return missing_ == MissingPages::kStandIn && !channel_.block(block);
 }
 
-FieldReader::Place FieldReader::place(const NodeKey& key, PlacedNode& out, bool& failed) const {
+NodeFields::Place NodeFields::place(const NodeKey& key, PlacedNode& out, bool& failed) const {
     auto missingBlock = [&](std::uint32_t block) {
         failed = context_.failed->contains({true, {channel_.index(), block, 0}});
         if (!failed) wantBlock(block);
@@ -62,7 +62,7 @@ FieldReader::Place FieldReader::place(const NodeKey& key, PlacedNode& out, bool&
     return Place::kNode;
 }
 
-FieldReader::NodeField FieldReader::read(const PlacedNode& node) const {
+NodeFields::NodeField NodeFields::read(const PlacedNode& node) const {
     NodeField field;
     field.node = node;
     for (;;) {
@@ -95,7 +95,7 @@ FieldReader::NodeField FieldReader::read(const PlacedNode& node) const {
     return field;
 }
 
-FieldReader::NodeField FieldReader::sample(int level, const std::array<std::int64_t, 3>& position) {
+NodeFields::NodeField NodeFields::sample(int level, const std::array<std::int64_t, 3>& position) {
     const int edge = channel_.shape().edge_cells;
     const int shift = std::countr_zero(unsigned(edge));
     const NodeKey key{level, std::int32_t(position[0] >> shift), std::int32_t(position[1] >> shift),
