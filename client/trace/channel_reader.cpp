@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
+#include <utility>
 
 #include "client/cpu/node_error.h"
 #include "client/cpu/octree_walk.h"
@@ -77,6 +79,7 @@ void ChannelReader::find(const NodeKey& key, const glm::dvec3& position, Entry& 
     // The finest resident brick on the way down stands in for one that is missing.
     Entry stand_in;
     bool has_stand_in = false;
+    std::optional<std::pair<PageAddress, std::uint32_t>> coarsest;  // that is missing, and its bytes
     auto missing = [&](bool failed) {
         if (has_stand_in) {
             const NodeKey asked = out.key;
@@ -108,9 +111,15 @@ void ChannelReader::find(const NodeKey& key, const glm::dvec3& position, Entry& 
                 has_stand_in |= !stays;
                 if (stays) return;
             }
+            if (!stays && !samples && accuracy_.coarse_first && !coarsest &&
+                !(context_->failed && context_->failed->contains(WantedPage{false, page})))
+                coarsest.emplace(page, record.payload_bytes);
             if (stays) {
                 const bool failed = context_->failed && context_->failed->contains(WantedPage{false, page});
-                if (!failed) want({false, page}, record.payload_bytes);
+                if (!failed && coarsest)
+                    want({false, coarsest->first}, coarsest->second);
+                else if (!failed)
+                    want({false, page}, record.payload_bytes);
                 if (!has_stand_in) {
                     // Some value that the node may have.
                     takeNode(ref, at, out);

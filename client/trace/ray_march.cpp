@@ -288,7 +288,7 @@ RaySample RayMarch::march(const WorldRay& world_ray, double end, double time, st
     if (end == std::numeric_limits<double>::infinity())
         for (const WorldLight& light : world.settings.lights)
             if (light.visible && light.environment) {
-                ray.out.radiance += ray.transmittance * light.environment->radiance(world_ray.direction);
+                ray.out.radiance += ray.transmittance * light.environment->backdrop(world_ray.direction);
                 ray.out.alpha = 1;
             }
     return ray.out;
