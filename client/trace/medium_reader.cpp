@@ -27,13 +27,16 @@ void MediumReader::open(Frame& frame, const MediumChannels& channels, const Trac
 glm::dvec3 MediumReader::origin(Frame& frame, const glm::dvec3& point, double time, double frame_time) {
     const double elapsed = time - frame_time;
     if (!frame.velocity || elapsed == 0) return point;
-    // Back along the flow by the midpoint rule.
+    // Back along the flow, by the midpoint rule.
     const Affine& transform = frame.velocity->channel().transform();
     const double scale = medium_->settings->velocity_scale * elapsed;
     auto velocity = [&](const glm::dvec3& at) {
         return frame.velocity->vector(transform.inversePoint(at), 0) * scale;
     };
-    return point - velocity(point - 0.5 * velocity(point));
+    const glm::dvec3 step = velocity(point);
+    // Within a voxel the flow hardly changes.
+    if (glm::length(step) < 0.5 * transform.voxelSize()) return point - step;
+    return point - velocity(point - 0.5 * step);
 }
 
 double MediumReader::densityIn(Frame& frame, const glm::dvec3& point, double lod, double time,

@@ -116,6 +116,56 @@ double RayMarch::shading(std::size_t m, const glm::dvec3& point, const glm::dvec
     return amount;
 }
 
+// A medium with a transfer function: its optical depth in a stretch, and its radiance as if nothing were in
+// front within it. Where much is stopped, the stretch is taken in more pieces, so that an edge lies where it
+// lies.
+glm::dvec3 RayMarch::transferred(Ray& ray, const MediaWalk& walk, std::size_t m, RaySpan span,
+                                 double& depth) {
+    constexpr double kMuch = 0.02;
+    MediumReader& reader = reader_.media[m];
+    const MediumSettings& settings = *reader.medium().settings;
+    const double length = span.end - span.begin, lod = walk.lod(m);
+    glm::dvec3 source(0);
+    double place = 0, stopped_all = 0;
+    auto integrate = [&](int pieces) {
+        source = glm::dvec3(0);
+        depth = place = stopped_all = 0;
+        double through = 1;
+        // Not on the border itself: the next cell may be background.
+        auto value = [&](int i) {
+            return reader.density(walk.at(span.begin + length * (0.001 + 0.998 * i / pieces)), lod, ray.time);
+        };
+        double before = value(0);
+        for (int i = 0; i < pieces; ++i) {
+            const double behind = value(i + 1);
+            const TransferFunction::Sample mean = settings.transfer->mean(before, behind);
+            const double part = settings.density_scale * mean.opacity * length / pieces;
+            const double stopped = -through * std::expm1(-part);
+            source += stopped * mean.color;
+            place += stopped * (i + 0.5) / pieces;
+            stopped_all += stopped;
+            through -= stopped;
+            depth += part;
+            before = behind;
+        }
+    };
+    integrate(2);
+    if (!(stopped_all > 0)) return source;
+    const double taken = ray.transmittance * stopped_all;
+    if (taken > kMuch) integrate(8);
+    if (settings.transfer_shading > 0) {
+        LightMemo& memo = ray.memos[2 * m];
+        if (taken > ray.negligible || memo.t < 0) {
+            memo.t = span.begin + length * place / stopped_all;
+            glm::dvec3 light;
+            const double amount = shading(m, walk.at(memo.t), ray.ray.direction, lod, ray.time, light);
+            memo.radiance = (1 - amount) + amount * light;
+        }
+        source *= memo.radiance;
+    }
+    return source / meanTransmittance(depth);
+}
+
 void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
     const double length = span.end - span.begin;
     const double time = ray.time;
@@ -132,25 +182,7 @@ void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
         if (walk.majorant(m).extinction > 0) {
             double own = 0;
             if (settings.transfer) {
-                double values[3];
-                for (int i = 0; i < 3; ++i)
-                    values[i] = reader.density(walk.at(span.begin + length * (0.001 + 0.499 * i)), lod, time);
-                for (int half = 0; half < 2; ++half) {
-                    const TransferFunction::Sample mean =
-                        settings.transfer->mean(values[half], values[half + 1]);
-                    const double part = settings.density_scale * mean.opacity * 0.5 * length;
-                    own += part;
-                    source += part * mean.color;
-                }
-                if (own > 0 && settings.transfer_shading > 0) {
-                    if (ray.transmittance * std::min(1.0, own) > ray.negligible || ray.memos[2 * m].t < 0) {
-                        glm::dvec3 light;
-                        const double amount = shading(m, middle, ray.ray.direction, lod, time, light);
-                        ray.memos[2 * m].radiance = (1 - amount) + amount * light;
-                        ray.memos[2 * m].t = span.begin;
-                    }
-                    source *= ray.memos[2 * m].radiance;
-                }
+                source += transferred(ray, walk, m, span, own);
             } else {
                 own = stretchDepth(reader, walk, m, span, time);
                 if (own > 0 && !ray.steps && !reader_.world.lights.empty()) {

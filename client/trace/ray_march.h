@@ -47,6 +47,7 @@ public:
 private:
     struct Ray;
     void media(Ray& ray, RaySpan span);
+    glm::dvec3 transferred(Ray& ray, const MediaWalk& walk, std::size_t medium, RaySpan span, double& depth);
     void stretch(Ray& ray, const MediaWalk& walk, RaySpan span);
     glm::dvec3 scattered(std::size_t medium, bool of_environment, const glm::dvec3& point,
                          const glm::dvec3& direction, double lod, double time, double& variance);

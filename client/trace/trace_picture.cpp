@@ -270,6 +270,11 @@ void TracePicture::setAccuracy() {
 
 Result<void> TracePicture::open() {
     threads_ = request_.threads ? request_.threads : std::max(1u, std::thread::hardware_concurrency());
+    if (request_.quality.strict)
+        return fail(
+            ErrorCode::kUnsupported,
+            "--strict: only pictures of one medium, lit by at most one directional light, have a guaranteed "
+            "bound (docs/error-bounds.md); leave it out, or simplify the scene");
     if (Result<void> opened = openFrames(); !opened) return opened;
     const double aspect = double(request_.width) / double(request_.height);
     if (request_.camera)
