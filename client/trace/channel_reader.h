@@ -72,7 +72,7 @@ private:
     void takeNode(const NodeRef& ref, const NodeKey& key, Entry& out) const;
     double onLevel(int level, const glm::dvec3& position, int component);
     double trilinear(const Entry& entry, const glm::dvec3& position, int component) const;
-    double filtered(const Entry& entry, int level, const glm::dvec3& position, int component);
+    double filtered(int level, const glm::dvec3& position, int component);
     double blended(const glm::dvec3& position, double lod, int component);
     int clampLevel(double lod) const;
     void want(const WantedPage& page, std::uint32_t bytes);
