@@ -273,7 +273,17 @@ glm::dvec3 ChannelReader::gradient(const glm::dvec3& position, double lod) {
 }
 
 double ChannelReader::cellEdgeAt(const glm::dvec3& position, double lod) {
-    return entryAt(clampLevel(lod), position).edge;
+    const int level = clampLevel(lod);
+    const double cell = cellEdge(level);
+    const Entry& entry = entryAt(level, position);
+    if (filter_ == FieldFilter::kTrilinear || entry.edge == cell) return entry.edge;
+    if (filter_ == FieldFilter::kNearest) return cell;
+    // A kernel reaches two samples of the level over the border of a coarser node.
+    for (int a = 0; a < 3; ++a) {
+        const double place = (position[a] - entry.low[a]) * entry.per_cell;
+        if (place < 1 || place > edge_cells_ - 1) return cell;
+    }
+    return entry.edge;
 }
 
 double ChannelReader::squareAt(const glm::dvec3& position, double lod) {

@@ -71,7 +71,10 @@ bool MediaWalk::next(RaySpan& stretch) {
                 const double hair = 1e-6 * medium.ray.unitLength();
                 const double edge = reader_.media[m].cellEdge(at + hair * ray_.direction, medium.lod);
                 const bool nearest = traced.settings->filter == FieldFilter::kNearest;
-                end = std::min(end, nextLatticePlane(medium.ray, t, edge, nearest ? 0.5 : 0));
+                // The nearest sample changes in the middle between two, on both levels of a blend.
+                const bool blends = nearest && medium.lod != std::floor(medium.lod);
+                end = std::min(end, nextLatticePlane(medium.ray, t, blends ? 0.5 * edge : edge,
+                                                     nearest && !blends ? 0.5 : 0));
             }
             stretch = {t, end};
         }

@@ -40,22 +40,23 @@ glm::dvec3 MediumReader::origin(Frame& frame, const glm::dvec3& point, double ti
 }
 
 double MediumReader::densityIn(Frame& frame, const glm::dvec3& point, double lod, double time,
-                               double frame_time) {
+                               double frame_time, bool* inside) {
     const glm::dvec3 at = origin(frame, point, time, frame_time);
     const PagedChannel& channel = frame.density->channel();
     const glm::dvec3 index = channel.transform().inversePoint(at);
     for (int a = 0; a < 3; ++a)
         if (index[a] < channel.clipLow()[a] || index[a] > channel.clipHigh()[a]) return 0;
+    if (inside) *inside = true;
     return frame.density->value(index, lod);
 }
 
-double MediumReader::density(const glm::dvec3& point, double lod, double time) {
-    if (!isBetween()) return densityIn(now_, point, lod, time, 0);
+double MediumReader::density(const glm::dvec3& point, double lod, double time, bool* inside) {
+    if (!isBetween()) return densityIn(now_, point, lod, time, 0, inside);
     const double share = std::clamp(medium_->between + time, 0.0, 1.0);
     // Blended frames stand still; advected ones move towards each other.
-    const double now = medium_->advects ? medium_->between + time : 0, next = medium_->advects ? now : 1;
-    const double a = share < 1 ? densityIn(now_, point, lod, now, 0) : 0;
-    const double b = share > 0 ? densityIn(next_, point, lod, next, 1) : 0;
+    const double now = timeNow(time), next = medium_->advects ? now : 1;
+    const double a = share < 1 ? densityIn(now_, point, lod, now, 0, inside) : 0;
+    const double b = share > 0 ? densityIn(next_, point, lod, next, 1, inside) : 0;
     return a + share * (b - a);
 }
 
@@ -86,7 +87,7 @@ glm::dvec3 MediumReader::emission(const glm::dvec3& point, double lod, double ti
     if (!medium_->glows()) return glm::dvec3(0);
     if (!isBetween()) return emissionIn(now_, point, lod, time, 0);
     const double share = std::clamp(medium_->between + time, 0.0, 1.0);
-    const double now = medium_->advects ? medium_->between + time : 0, next = medium_->advects ? now : 1;
+    const double now = timeNow(time), next = medium_->advects ? now : 1;
     const glm::dvec3 a = share < 1 ? emissionIn(now_, point, lod, now, 0) : glm::dvec3(0);
     const glm::dvec3 b = share > 0 ? emissionIn(next_, point, lod, next, 1) : glm::dvec3(0);
     return a + share * (b - a);
@@ -95,7 +96,7 @@ glm::dvec3 MediumReader::emission(const glm::dvec3& point, double lod, double ti
 glm::dvec3 MediumReader::albedo(const glm::dvec3& point, double lod, double time) {
     const MediumSettings& settings = *medium_->settings;
     if (!now_.color) return settings.albedo;
-    const glm::dvec3 at = origin(now_, point, time, 0);
+    const glm::dvec3 at = origin(now_, point, timeNow(time), 0);
     const PagedChannel& channel = now_.color->channel();
     const glm::dvec3 index = channel.transform().inversePoint(at);
     const glm::dvec3 color = settings.color_ramp ? settings.color_ramp->at(now_.color->value(index, lod))
@@ -105,7 +106,7 @@ glm::dvec3 MediumReader::albedo(const glm::dvec3& point, double lod, double time
 
 glm::dvec3 MediumReader::gradient(const glm::dvec3& point, double lod, double time) {
     const Affine& transform = medium_->transform();
-    const glm::dvec3 index = transform.inversePoint(origin(now_, point, time, 0));
+    const glm::dvec3 index = transform.inversePoint(origin(now_, point, timeNow(time), 0));
     const glm::dvec3 slope = now_.density->gradient(index, lod);
     // d/dworld = (d index / d world)^T d/dindex, a column at a time.
     glm::dvec3 out;

@@ -16,9 +16,13 @@ public:
 
     const TracedMedium& medium() const { return *medium_; }
     // The density there; 0 outside the medium's box. World positions; `time` in frames from the picture's.
-    double density(const glm::dvec3& point, double lod, double time);
+    // `inside`: whether there is a medium, of either frame.
+    double density(const glm::dvec3& point, double lod, double time, bool* inside = nullptr);
     double extinction(const glm::dvec3& point, double lod, double time) {
-        return extinctionOf(*medium_->settings, density(point, lod, time));
+        // Outside there is nothing, whatever a transfer function makes of 0.
+        bool inside = false;
+        const double value = density(point, lod, time, &inside);
+        return inside ? extinctionOf(*medium_->settings, value) : 0;
     }
     // Emitted radiance per world unit, but that of a transfer function.
     glm::dvec3 emission(const glm::dvec3& point, double lod, double time);
@@ -40,8 +44,14 @@ private:
                      std::span<const RayContext> contexts);
     // Where what is at `point` at `time` was when the frame (at `frame_time`) was taken.
     glm::dvec3 origin(Frame& frame, const glm::dvec3& point, double time, double frame_time);
-    double densityIn(Frame& frame, const glm::dvec3& point, double lod, double time, double frame_time);
+    double densityIn(Frame& frame, const glm::dvec3& point, double lod, double time, double frame_time,
+                     bool* inside);
     glm::dvec3 emissionIn(Frame& frame, const glm::dvec3& point, double lod, double time, double frame_time);
+    // Moment of the picture's own frame to look at.
+    double timeNow(double time) const {
+        if (!isBetween()) return time;
+        return medium_->advects ? medium_->between + time : 0;
+    }
     bool isBetween() const { return bool(medium_->next.density); }
 
     const TracedMedium* medium_;

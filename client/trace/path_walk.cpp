@@ -40,6 +40,9 @@ struct PathWalk::Walk {
     // Density per steradian with which `ray.direction` was picked.
     double direction_density = 0;
     double light_odds = 1;  // with which a light was picked at the point that `ray` leaves
+    // The surface that `ray` leaves, and whether what came to it was about to go inside.
+    std::size_t left = SIZE_MAX;
+    bool left_entering = true;
     std::uint32_t bounces = 0;
     glm::dvec3 radiance{0};
 };
@@ -74,7 +77,7 @@ double PathWalk::ratioTrack(Walk& walk, const WorldRay& ray, RaySpan span) {
 
 double PathWalk::openTo(Walk& walk, const WorldRay& ray, double distance) {
     if (surfaces_) {
-        const double open = surfaces_->openness(ray, {0, distance});
+        const double open = surfaces_->openness(ray, {0, distance}, walk.left != SIZE_MAX);
         return open > 0 ? open * ratioTrack(walk, ray, {0, distance}) : 0;
     }
     return ratioTrack(walk, ray, {0, distance});
@@ -84,15 +87,16 @@ PathWalk::Event PathWalk::fly(Walk& walk, const WorldRay& ray) {
     Event event;
     RaySpan span{0, kInfinity};
     if (surfaces_) {
-        // The first that does not let the walk through.
-        const std::vector<PlacedHit>& hits = surfaces_->along(ray, {0, kInfinity});
+        // The first that does not let the walk through. A walk that begins on a surface does not meet it
+        // again.
+        const std::vector<PlacedHit>& hits = surfaces_->along(ray, {0, kInfinity}, walk.left != SIZE_MAX);
         for (const PlacedHit& hit : hits) {
             const SurfaceSettings& surface = *reader_.world.surfaces[hit.surface].settings;
-            // A walk that begins on a surface does not meet it again.
-            if (hit.hit.t < 1e-3 * cellEdge(hit.hit.key.level) *
-                                reader_.world.surfaces[hit.surface].channel.channel->transform().voxelSize())
-                continue;
             if (surface.opacity < 1 && walk.random.uniform() >= surface.opacity) continue;
+            // Normals are smoother than the surface: a grazing direction may begin on the wrong side of it,
+            // and what is opaque keeps what is in there.
+            if (surface.opacity >= 1 && hit.surface == walk.left && hit.hit.entering != walk.left_entering)
+                return {Event::Kind::kLost, hit.hit.t, 0, hit};
             event = {Event::Kind::kSurface, hit.hit.t, 0, hit};
             span.end = hit.hit.t;
             break;
@@ -190,7 +194,9 @@ void PathWalk::lightSurface(Walk& walk, const PlacedHit& hit, const glm::dvec3& 
         const LightArrival arrival = arrivalAt(light, point);
         const double cosine = glm::dot(arrival.to_light, normal);
         if (!(cosine > 0) || greatest(arrival.irradiance) == 0) continue;
-        const double open = openTo(walk, {point, arrival.to_light}, arrival.distance);
+        const double open = light.shadows == ShadowMethod::kNone
+                                ? 1
+                                : openTo(walk, {point, arrival.to_light}, arrival.distance);
         walk.radiance += cosine * open * walk.weight * reflected * arrival.irradiance;
     }
 }
@@ -198,7 +204,14 @@ void PathWalk::lightSurface(Walk& walk, const PlacedHit& hit, const glm::dvec3& 
 // On and on from walk.ray, whose direction was just picked.
 void PathWalk::scatterFrom(Walk& walk) {
     const TracedWorld& world = reader_.world;
-    while (walk.bounces < most_bounces_) {
+    // Behind the last scattering nothing scatters, but the sky and what glows are still seen: unlike other
+    // lights they are met, not picked.
+    const bool met =
+        std::any_of(world.settings.lights.begin(), world.settings.lights.end(),
+                    [](const WorldLight& light) { return light.kind == WorldLight::Kind::kEnvironment; }) ||
+        std::any_of(world.media.begin(), world.media.end(),
+                    [](const TracedMedium& medium) { return medium.glows() || medium.settings->transfer; });
+    while (walk.bounces < most_bounces_ || (walk.bounces == most_bounces_ && met)) {
         ++walk.bounces;
         if (walk.bounces > kCertainBounces) {
             const double survives = std::min(1.0, greatest(walk.weight));
@@ -218,10 +231,12 @@ void PathWalk::scatterFrom(Walk& walk) {
             }
             return;
         }
+        if (walk.bounces > most_bounces_ || event.kind == Event::Kind::kLost) return;
         if (event.kind == Event::Kind::kMedium) {
             MediumReader& medium = reader_.media[event.medium];
             const MediumSettings& settings = *medium.medium().settings;
             if (settings.transfer) return;  // absorbs
+            walk.left = SIZE_MAX;
             walk.weight *= medium.albedo(point, walk.lod, walk.time);
             if (!(greatest(walk.weight) > 0)) return;
             lightMedium(walk, event.medium, point, walk.ray.direction);
@@ -229,6 +244,8 @@ void PathWalk::scatterFrom(Walk& walk) {
             walk.ray = {point, aroundAxis(walk.ray.direction, cosine, walk.random.uniform())};
             walk.direction_density = settings.phase(cosine);
         } else {
+            walk.left = event.hit.surface;
+            walk.left_entering = event.hit.hit.entering;
             const glm::dvec3 normal = surfaces_->normal(event.hit, walk.ray.direction);
             lightSurface(walk, event.hit, point, normal);
             walk.weight *= world.surfaces[event.hit.surface].settings->color;
@@ -259,6 +276,8 @@ RaySample PathWalk::sample(const WorldRay& ray, double end, double time, PathRan
         const glm::dvec3 normal = surfaces_->normal(step.hit, ray.direction);
         walk.weight = glm::dvec3(step.transmittance * step.stopped / odds);
         if (!world.media.empty()) walk.lod = world.lodAt(world.media[0], point);
+        walk.left = step.hit.surface;
+        walk.left_entering = step.hit.hit.entering;
         lightSurface(walk, step.hit, point, normal);
         walk.weight *= world.surfaces[step.hit.surface].settings->color;
         const double cosine = std::sqrt(random.uniform());

@@ -3,7 +3,8 @@
 // tracking and shadows estimated by ratio tracking, under the majorants of the bricks (Woodcock et al. 1965;
 // Novak, Selle, Jarosz. Residual Ratio Tracking. 2014; Novak et al. Monte Carlo Methods for Volumetric Light
 // Transport Simulation. 2018). Emission met on the way is counted at every tentative collision. Walks end by
-// Russian roulette, or behind `most_bounces`. Deterministic for a seed. One thread, one pass.
+// Russian roulette, or when light has been scattered `most_bounces` times on its way to the camera ray's own
+// scattering. Deterministic for a seed. One thread, one pass.
 #pragma once
 
 #include "client/trace/random.h"
@@ -22,7 +23,7 @@ public:
 
 private:
     struct Event {
-        enum class Kind { kEscaped, kMedium, kSurface } kind = Kind::kEscaped;
+        enum class Kind { kEscaped, kMedium, kSurface, kLost } kind = Kind::kEscaped;
         double t = 0;
         std::size_t medium = 0;
         PlacedHit hit;

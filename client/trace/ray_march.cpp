@@ -170,7 +170,9 @@ void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
     const double length = span.end - span.begin;
     const double time = ray.time;
     double depth = 0, variance = 0, light_variance = 0;
-    glm::dvec3 source(0), spread(0);  // radiance of the stretch if nothing were in front of it within it
+    // Radiance of the stretch if nothing were in front of it within it: what grows with the depth, and what
+    // glows by itself.
+    glm::dvec3 source(0), glow(0), spread(0);
     const glm::dvec3 at[2] = {walk.at(span.begin + kGaussPoint * length),
                               walk.at(span.end - kGaussPoint * length)};
     const glm::dvec3 middle = walk.at(0.5 * (span.begin + span.end));
@@ -203,14 +205,14 @@ void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
         }
         if (walk.majorant(m).emission > 0) {
             const glm::dvec3 a = reader.emission(at[0], lod, time), b = reader.emission(at[1], lod, time);
-            source += 0.5 * length * (a + b);
+            glow += 0.5 * length * (a + b);
             spread += 0.5 * length * glm::abs(a - b);
         }
     }
     if (ray.steps && depth > 0)
         ray.steps->push_back({span, ray.transmittance, depth, -std::expm1(-depth), false, {}});
     const double weight = ray.transmittance * meanTransmittance(depth);
-    ray.out.radiance += weight * source;
+    ray.out.radiance += weight * (source + glow);
     // What the levels of detail may change of what lies in front, and in here; and what the midpoint of a
     // light that changes within the stretch may be off by.
     const double share = depth > 0 ? 1 : 0;
@@ -223,7 +225,7 @@ void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
     ray.depth_variance += variance;
     const double before = 1 - ray.transmittance;
     ray.transmittance *= std::exp(-depth);
-    marks_.push_back({span.end, before, 1 - ray.transmittance});
+    marks_.push_back({span.begin, span.end, before, 1 - ray.transmittance});
 }
 
 void RayMarch::media(Ray& ray, RaySpan span) {
@@ -293,7 +295,7 @@ RaySample RayMarch::march(const WorldRay& world_ray, double end, double time, st
             }
             const double before = 1 - ray.transmittance;
             ray.transmittance *= 1 - surface.opacity;
-            marks_.push_back({hit.hit.t, before, 1 - ray.transmittance});
+            marks_.push_back({hit.hit.t, hit.hit.t, before, 1 - ray.transmittance});
             from = hit.hit.t;
         }
     }
@@ -303,19 +305,15 @@ RaySample RayMarch::march(const WorldRay& world_ray, double end, double time, st
     ray.out.alpha = 1 - ray.transmittance;
     ray.out.alpha_variance = ray.transmittance * ray.transmittance * ray.depth_variance;
     ray.out.radiance_variance += square(greatest(ray.out.radiance)) * ray.depth_variance * ray.transmittance;
-    double previous = 0;
-    for (const Mark& mark : marks_) {
+    for (const Mark& mark : marks_)
         if (2 * mark.alpha >= ray.out.alpha && mark.alpha > 0) {
-            const double rise = mark.alpha - mark.alpha_before;
-            const double part =
-                rise > 0 ? std::clamp((0.5 * ray.out.alpha - mark.alpha_before) / rise, 0.0, 1.0) : 1;
-            // A surface rises at one place; a stretch is short.
-            ray.out.depth =
-                previous > 0 && mark.t > previous ? previous + part * (mark.t - previous) : mark.t;
+            // In a stretch light dies exponentially.
+            const double whole = std::log1p(-mark.alpha_before) - std::log1p(-mark.alpha),
+                         half = std::log1p(-mark.alpha_before) - std::log1p(-0.5 * ray.out.alpha);
+            const double part = whole > 0 && std::isfinite(whole) ? std::clamp(half / whole, 0.0, 1.0) : 0;
+            ray.out.depth = mark.begin + part * (mark.end - mark.begin);
             break;
         }
-        previous = mark.t;
-    }
     // The sky, where the light is to be seen.
     if (end == std::numeric_limits<double>::infinity())
         for (const WorldLight& light : world.settings.lights)

@@ -59,9 +59,9 @@ private:
     WorldReader& reader_;
     LightReach& lights_;
     SurfaceHits* surfaces_;
-    // Transmittance behind each stretch, for the depth.
+    // Opacity in front of each stretch and behind it, for the depth.
     struct Mark {
-        double t, alpha_before, alpha;
+        double begin, end, alpha_before, alpha;
     };
     std::vector<Mark> marks_;
 };

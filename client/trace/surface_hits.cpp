@@ -10,7 +10,7 @@ SurfaceHits::SurfaceHits(const TracedWorld& world, std::span<const RayContext> c
         tracers_.emplace_back(*surface.channel.channel, *surface.settings, surface.level);
 }
 
-const std::vector<PlacedHit>& SurfaceHits::along(const WorldRay& ray, RaySpan span) {
+const std::vector<PlacedHit>& SurfaceHits::along(const WorldRay& ray, RaySpan span, bool leaves) {
     hits_.clear();
     span = world_.clipped(ray, span);
     if (span.empty()) return hits_;
@@ -18,10 +18,13 @@ const std::vector<PlacedHit>& SurfaceHits::along(const WorldRay& ray, RaySpan sp
         const SurfaceSettings& settings = *world_.surfaces[s].settings;
         const RayContext& context = contexts_[world_.surfaces[s].channel.frame];
         const IndexRay index(ray, tracers_[s].channel().transform());
+        RaySpan rest = span;
+        if (leaves) rest.begin = std::max(rest.begin, 2 * tracers_[s].hair(index));
+        if (rest.empty()) continue;
         found_.clear();
         const std::size_t most = settings.opacity >= 1 ? 1 : kMostCrossings;
         missed_ |=
-            tracers_[s].crossings(index, span, context, most, found_) == SurfaceTracer::Found::kMissing;
+            tracers_[s].crossings(index, rest, context, most, found_) == SurfaceTracer::Found::kMissing;
         for (const SurfaceHit& hit : found_) hits_.push_back({s, hit});
     }
     std::sort(hits_.begin(), hits_.end(), [](const PlacedHit& a, const PlacedHit& b) {
@@ -35,7 +38,7 @@ const std::vector<PlacedHit>& SurfaceHits::along(const WorldRay& ray, RaySpan sp
     return hits_;
 }
 
-double SurfaceHits::openness(const WorldRay& ray, RaySpan span) {
+double SurfaceHits::openness(const WorldRay& ray, RaySpan span, bool leaves) {
     double open = 1;
     span = world_.clipped(ray, span);
     for (std::size_t s = 0; s < tracers_.size() && open > 0; ++s) {
@@ -43,7 +46,7 @@ double SurfaceHits::openness(const WorldRay& ray, RaySpan span) {
         const RayContext& context = contexts_[world_.surfaces[s].channel.frame];
         const IndexRay index(ray, tracers_[s].channel().transform());
         RaySpan rest = span;
-        rest.begin = std::max(rest.begin, 2 * tracers_[s].hair(index));
+        if (leaves) rest.begin = std::max(rest.begin, 2 * tracers_[s].hair(index));
         if (rest.empty()) continue;
         found_.clear();
         const std::size_t most = settings.opacity >= 1 ? 1 : kMostCrossings;

@@ -19,11 +19,11 @@ public:
     // All of it outlives the object. `contexts`: one a frame.
     SurfaceHits(const TracedWorld& world, std::span<const RayContext> contexts);
 
-    // All crossings up to the first opaque one, front to back. Valid until the next call.
-    const std::vector<PlacedHit>& along(const WorldRay& ray, RaySpan span);
-    // What surfaces let through: the product of 1 - opacity over crossings. A ray that begins on a surface
-    // begins a hair off it.
-    double openness(const WorldRay& ray, RaySpan span);
+    // All crossings up to the first opaque one, front to back. Valid until the next call. With `leaves` the
+    // ray begins on a surface, perhaps: a hair off it.
+    const std::vector<PlacedHit>& along(const WorldRay& ray, RaySpan span, bool leaves = false);
+    // What surfaces let through: the product of 1 - opacity over crossings. `leaves` as above.
+    double openness(const WorldRay& ray, RaySpan span, bool leaves = true);
 
     // Unit, world, on the side that the ray came from.
     glm::dvec3 normal(const PlacedHit& hit, const glm::dvec3& direction);

@@ -127,6 +127,7 @@ private:
     std::uint32_t samples_ = 1;  // a pixel; 0: as the error asks
     std::uint32_t most_samples_ = 1;
     bool over_budget_ = false;
+    bool one_by_one_ = false;  // the cache is too small for many rays at a time
     unsigned threads_ = 1;
     RenderOutcome outcome_;
 };

@@ -19,7 +19,9 @@ constexpr std::uint32_t kRoundSamples = 8;
 constexpr std::uint64_t kMostWaitingSamples = 1u << 20;
 // Where as many samples are drawn as the error asks for.
 constexpr std::uint32_t kLeastSamples = 32;
-// Passes without a finished sample after which the cache is taken for too small.
+// Passes without a finished sample after which samples are no longer drawn together, and after which the
+// cache is taken for too small.
+constexpr int kIdlePassesTogether = 8;
 constexpr int kMostIdlePasses = 64;
 // The first wish of a cold client: an overview, chosen by the source.
 constexpr std::uint64_t kOverviewBytes = 256u << 10;
@@ -208,7 +210,9 @@ void TracePicture::traceTile(std::size_t index, Worker& worker) {
             tile.have[at] = !missed;
             complete = complete && !missed;
             finished += !missed;
+            if (missed && one_by_one_) break;
         }
+        if (!complete && one_by_one_) break;
     }
     finished_samples_.fetch_add(finished, std::memory_order_relaxed);
     if (complete) finishRound(tile);
@@ -258,9 +262,10 @@ void TracePicture::writePixel(std::uint32_t at) {
     const PixelSum& sum = sums_[at];
     Pixel& pixel = outcome_.picture.pixels[at];
     const double count = std::max(1u, sum.samples);
-    // Standard error of a mean; of one sample it is not known.
-    auto deviation = [&](double total, double squares) {
-        if (sum.samples < 2) return 0.0;
+    // Standard error of a mean. Of one sample of many it is not known, nor that of a path; but what a ray
+    // meets through a pixel's centre is what is to be drawn.
+    auto deviation = [&](double total, double squares, bool random) {
+        if (sum.samples < 2) return random || most_samples_ > 1 ? 1.0 : 0.0;
         const double variance = std::max(0.0, squares - total * total / count) / (count - 1);
         return std::sqrt(variance / count);
     };
@@ -270,9 +275,9 @@ void TracePicture::writePixel(std::uint32_t at) {
     pixel.bound_alpha = std::max(pixel.alpha, 1 - pixel.alpha);
     pixel.bound_radiance = std::numeric_limits<float>::infinity();
     pixel.estimate_alpha =
-        float(std::hypot(sum.alpha_deviation / count, deviation(sum.alpha, sum.alpha_square)));
-    pixel.estimate_radiance =
-        float(std::hypot(sum.radiance_deviation / count, deviation(sum.greatest, sum.radiance_square)));
+        float(std::hypot(sum.alpha_deviation / count, deviation(sum.alpha, sum.alpha_square, false)));
+    pixel.estimate_radiance = float(std::hypot(sum.radiance_deviation / count,
+                                               deviation(sum.greatest, sum.radiance_square, request_.path)));
 }
 
 Result<void> TracePicture::draw() {
@@ -283,7 +288,10 @@ Result<void> TracePicture::draw() {
             if (!tiles_[i].done) open_tiles.push_back(i);
         if (open_tiles.empty() || late()) return {};
         finished_samples_ = 0;
-        pass(open_tiles.size(), [&](std::size_t i, Worker& worker) { traceTile(open_tiles[i], worker); });
+        // Rays that drive each other's pages out of a small cache are drawn one after the other.
+        one_by_one_ = one_by_one_ || idle >= kIdlePassesTogether;
+        pass(one_by_one_ ? 1 : open_tiles.size(),
+             [&](std::size_t i, Worker& worker) { traceTile(open_tiles[i], worker); });
         if (outcome_.seconds_first_image == 0) outcome_.seconds_first_image = secondsSince(begin_);
         if (request_.progress) {
             std::uint64_t done = 0;

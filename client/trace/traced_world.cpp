@@ -31,53 +31,65 @@ Box mapped(const Box& box, const Affine& from, const Affine& to) {
     return out;
 }
 
-// Index units that something may be displaced on each axis in `elapsed` frames.
-glm::dvec3 displacement(const MediumChannels& channels, const TracedMedium& medium, double elapsed) {
-    if (!channels.velocity || elapsed == 0) return glm::dvec3(0);
+// World units a frame that anything moves at most. `complete` becomes false where blocks are missing.
+double fastest(const MediumChannels& channels, const TracedMedium& medium,
+               std::span<const RayContext> contexts, bool& complete) {
+    if (!channels.velocity) return 0;
     const PagedChannel& velocity = *channels.velocity.channel;
-    const double speed =
-        std::sqrt(3.0) * std::max(std::abs(velocity.valueMin()), std::abs(velocity.valueMax()));
-    const double distance = speed * medium.settings->velocity_scale * elapsed;
+    constexpr double kEverywhere = std::numeric_limits<double>::infinity();
+    // As stored: rounding may have gone beyond the range of the source.
+    ValueRange component;
+    if (!rangeOver(velocity, glm::dvec3(-kEverywhere), glm::dvec3(kEverywhere), kMaxLevel, 0,
+                   contexts[channels.velocity.frame], component))
+        complete = false;
+    for (const ValueBits bits : velocity.backgroundBits()) component.add(toFloat(velocity.type(), bits));
+    const double most = std::max(std::abs(component.low), std::abs(component.high));
+    return std::sqrt(3.0) * most * std::abs(medium.settings->velocity_scale);
+}
+
+// Index units on each axis that a world distance may be.
+glm::dvec3 indexReach(const Affine& transform, double distance) {
     glm::dvec3 rows(0);
     for (int axis = 0; axis < 3; ++axis) {
         glm::dvec3 unit(0);
         unit[axis] = 1;
-        const glm::dvec3 column = channels.density.channel->transform().inverseVector(unit);
+        const glm::dvec3 column = transform.inverseVector(unit);
         rows += column * column;
     }
     return glm::sqrt(rows) * distance;
 }
 
-double mostElapsed(const TracedMedium& medium, bool next) {
+// World units that what a frame holds may have been displaced, at any moment of the shutter.
+double displacement(const TracedMedium& medium, bool next, double speed) {
+    if (medium.next.density && !medium.advects) return 0;
     const double base = next ? medium.between - 1 : medium.between;
-    return std::max(std::abs(base + medium.time_open), std::abs(base + medium.time_close));
-}
-
-glm::dvec3 reachOf(const TracedMedium& medium, bool next) {
-    if (medium.next.density && !medium.advects) return glm::dvec3(0);
-    return displacement(next ? medium.next : medium.now, medium, mostElapsed(medium, next));
+    return speed * std::max(std::abs(base + medium.time_open), std::abs(base + medium.time_close));
 }
 
 class CellBounds {
 public:
-    CellBounds(const TracedMedium& medium, int level, std::span<const RayContext> contexts)
-        : medium_(medium), level_(level), contexts_(contexts) {}
+    // `moved`: as displacement(), of either frame.
+    CellBounds(const TracedMedium& medium, int level, double moved_now, double moved_next,
+               std::span<const RayContext> contexts)
+        : medium_(medium),
+          level_(level),
+          reach_now_(indexReach(medium.transform(), moved_now)),
+          reach_next_(indexReach(medium.transform(), moved_next)),
+          contexts_(contexts) {}
 
-    // False where blocks are missing.
+    // `box`: in the index space of the medium. False where blocks are missing.
     bool of(const Box& box, MajorantCell& out) const {
-        bool complete = add(medium_.now, false, box, out);
-        if (medium_.next.density) complete = add(medium_.next, true, box, out) && complete;
+        bool complete = add(medium_.now, grown(box, reach_now_), out);
+        if (medium_.next.density) complete = add(medium_.next, grown(box, reach_next_), out) && complete;
         return complete;
     }
 
 private:
-    bool range(const TracedChannel& channel, const MediumChannels& channels, const Box& box,
-               const glm::dvec3& reach, double square_budget, ValueRange& out) const {
+    bool range(const TracedChannel& channel, const Box& box, double square_budget, ValueRange& out) const {
         const FieldFilter filter = medium_.settings->filter;
         // A kernel reaches a sample of the level beyond the cell, and central differences one more.
         const double samples = filterReach(filter) * 2 * cellEdgeOf(level_) + 1e-6;
-        const Box there =
-            mapped(grown(box, reach), channels.density.channel->transform(), channel.channel->transform());
+        const Box there = mapped(box, medium_.transform(), channel.channel->transform());
         const Box asked = grown(there, glm::dvec3(samples));
         const bool complete = rangeOver(*channel.channel, asked.low, asked.high, level_, square_budget,
                                         contexts_[channel.frame], out);
@@ -88,12 +100,10 @@ private:
     }
     static double cellEdgeOf(int level) { return double(std::uint64_t(1) << level); }
 
-    bool add(const MediumChannels& channels, bool next, const Box& box, MajorantCell& out) const {
+    bool add(const MediumChannels& channels, const Box& box, MajorantCell& out) const {
         const MediumSettings& settings = *medium_.settings;
-        const glm::dvec3 reach = reachOf(medium_, next);
         ValueRange density;
-        bool complete =
-            range(channels.density, channels, box, reach, medium_.density_accuracy.square_budget, density);
+        bool complete = range(channels.density, box, medium_.density_accuracy.square_budget, density);
         if (medium_.next.density) density.add(0);  // a share of it
         const double most = settings.transfer
                                 ? settings.density_scale * settings.transfer->most(density.low, density.high)
@@ -110,7 +120,7 @@ private:
         }
         if (!settings.emission || channels.emission.channel->empty()) return complete;
         ValueRange glow;
-        complete = range(channels.emission, channels, box, reach, 0, glow) && complete;
+        complete = range(channels.emission, box, 0, glow) && complete;
         double emission = 0;
         if (settings.emission->black_body)
             emission = 1;
@@ -121,7 +131,7 @@ private:
         if (channels.weight && emission > 0) {
             if (channels.weight.channel->empty()) return complete;
             ValueRange weight;
-            complete = range(channels.weight, channels, box, reach, 0, weight) && complete;
+            complete = range(channels.weight, box, 0, weight) && complete;
             emission *= std::max(0.0, weight.high);
         }
         out.emission = std::max(out.emission, float(emission));
@@ -130,6 +140,7 @@ private:
 
     const TracedMedium& medium_;
     int level_;
+    glm::dvec3 reach_now_, reach_next_;  // index units of the medium
     std::span<const RayContext> contexts_;
 };
 
@@ -162,10 +173,15 @@ RaySpan TracedWorld::clipped(const WorldRay& ray, RaySpan span) const {
 bool makeMajorants(TracedMedium& medium, int coarsest, std::span<const RayContext> contexts) {
     const PagedChannel& density = *medium.now.density.channel;
     Box box{density.clipLow(), density.clipHigh()};
-    box = grown(box, reachOf(medium, false));
+    bool complete = true;
+    const double moved_now = displacement(medium, false, fastest(medium.now, medium, contexts, complete));
+    const double moved_next = displacement(medium, true, fastest(medium.next, medium, contexts, complete));
+    // How far the medium reaches is not known yet.
+    if (!complete) return false;
+    box = grown(box, indexReach(density.transform(), moved_now));
     if (medium.next.density && !medium.next.density.channel->empty()) {
         const PagedChannel& next = *medium.next.density.channel;
-        Box other = grown({next.clipLow(), next.clipHigh()}, reachOf(medium, true));
+        Box other = grown({next.clipLow(), next.clipHigh()}, indexReach(next.transform(), moved_next));
         other = mapped(other, next.transform(), density.transform());
         box = {glm::min(box.low, other.low), glm::max(box.high, other.high)};
     }
@@ -178,8 +194,7 @@ bool makeMajorants(TracedMedium& medium, int coarsest, std::span<const RayContex
     const double longest = std::max({size.x, size.y, size.z});
     while (level < kMaxLevel && brick * std::exp2(level) * MajorantGrid::kMostCells < longest) ++level;
     medium.majorants = MajorantGrid(box.low, box.high, brick * std::exp2(level));
-    const CellBounds bounds(medium, level, contexts);
-    bool complete = true;
+    const CellBounds bounds(medium, level, moved_now, moved_next, contexts);
     for (std::size_t i = 0; i < medium.majorants.cellCount(); ++i) {
         const glm::dvec3 low = medium.majorants.cellLow(i);
         complete = bounds.of({low, low + medium.majorants.cellEdge()}, medium.majorants.cell(i)) && complete;
