@@ -78,6 +78,8 @@ TEST_F(RenderCommandTest, WrongUsageIsOneLineThatNamesTheOption) {
              {{balls(), "-o", out, "--samples", "4", "--spp", "4"}, "--spp"},
              {{balls(), "-o", out, "--samples", "4", "--quality", "path"}, "--spp"},
              {{balls(), "-o", out, "--spp", "0"}, "--spp"},
+             {{balls(), "-o", out, "--bounces", "-1"}, "--bounces"},
+             {{balls(), "-o", out, "--bounces", "65537"}, "--bounces"},
              {{balls(), "-o", out, "--spp", "65537"}, "--spp"},
              {{balls(), "-o", out, "--frame=-1"}, "--frame"},
              {{balls(), "-o", out, "--filter", "box"}, "--filter"},
