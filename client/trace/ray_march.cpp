@@ -98,8 +98,7 @@ void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
             if (settings.transfer) {
                 glm::dvec3 shown(0);
                 double values[3];
-                for (int i = 0; i < 3; ++i)
-                    values[i] = reader.density(walk.at(span.begin + length * (0.001 + 0.499 * i)), lod, time);
+                stretchValues(reader, walk, m, span, time, values);
                 for (int half = 0; half < 2; ++half) {
                     const TransferFunction::Sample mean =
                         settings.transfer->mean(values[half], values[half + 1]);
@@ -157,7 +156,7 @@ void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
 
 void RayMarch::media(Ray& ray, RaySpan span) {
     if (reader_.media.empty()) return;
-    MediaWalk walk(reader_, ray.ray, span);
+    MediaWalk walk(reader_, ray.ray, span, ray.time);
     for (RaySpan piece; ray.transmittance > ray.opaque && walk.next(piece);) stretch(ray, walk, piece);
 }
 
