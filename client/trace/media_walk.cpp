@@ -27,10 +27,12 @@ RaySpan boxSpan(const TracedMedium& medium, const IndexRay& ray, RaySpan span) {
     return ray.clip(medium.box_low, medium.box_high, span);
 }
 
-MediaWalk::MediaWalk(WorldReader& reader, const WorldRay& ray, RaySpan span, double fixed_lod, Steps steps)
+MediaWalk::MediaWalk(WorldReader& reader, const WorldRay& ray, RaySpan span, double time, double fixed_lod,
+                     Steps steps)
     : reader_(reader),
       ray_(ray),
       span_(reader.world.clipped(ray, span)),
+      time_(time),
       fixed_lod_(fixed_lod),
       steps_(steps),
       media_(reader.media.size()) {
@@ -69,7 +71,8 @@ bool MediaWalk::next(RaySpan& stretch) {
                 medium.lod = fixed_lod_ >= 0 ? fixed_lod_ : reader_.world.lodAt(traced, at);
                 // A hair further: the cell that begins here, not the one that ends.
                 const double hair = 1e-6 * medium.ray.unitLength();
-                const double edge = reader_.media[m].cellEdge(at + hair * ray_.direction, medium.lod);
+                const double edge = reader_.media[m].smoothEdge(at + hair * ray_.direction, medium.lod, time_,
+                                                                medium.place.cell);
                 const bool nearest = traced.settings->filter == FieldFilter::kNearest;
                 // The nearest sample changes in the middle between two, on both levels of a blend.
                 const bool blends = nearest && medium.lod != std::floor(medium.lod);
@@ -84,16 +87,29 @@ bool MediaWalk::next(RaySpan& stretch) {
     return false;
 }
 
+void stretchValues(MediumReader& reader, const MediaWalk& walk, std::size_t m, RaySpan stretch, double time,
+                   std::span<double> values) {
+    // Not on the borders themselves, where the next cell may be background; but what is thinner than what is
+    // left out must not be lost.
+    constexpr double kInside = 0.001;
+    const double length = stretch.end - stretch.begin, pieces = double(values.size() - 1);
+    const double step = (1 - 2 * kInside) / pieces, more = kInside / step;
+    for (std::size_t i = 0; i < values.size(); ++i)
+        values[i] =
+            reader.density(walk.at(stretch.begin + length * (kInside + step * double(i))), walk.lod(m), time);
+    double &first = values.front(), &last = values.back();
+    const double second = values[1], last_but_one = values[values.size() - 2];
+    first += more * (first - second);
+    last += more * (last - last_but_one);
+}
+
 double stretchDepth(MediumReader& reader, const MediaWalk& walk, std::size_t m, RaySpan stretch,
                     double time) {
     const double length = stretch.end - stretch.begin;
     const MediumSettings& settings = *reader.medium().settings;
     if (settings.transfer) {
         double values[3];
-        for (int i = 0; i < 3; ++i)
-            // Not on the border itself: the next cell may be background.
-            values[i] =
-                reader.density(walk.at(stretch.begin + length * (0.001 + 0.499 * i)), walk.lod(m), time);
+        stretchValues(reader, walk, m, stretch, time, values);
         return settings.density_scale * length * 0.5 *
                (settings.transfer->mean(values[0], values[1]).opacity +
                 settings.transfer->mean(values[1], values[2]).opacity);
@@ -105,7 +121,7 @@ double stretchDepth(MediumReader& reader, const MediaWalk& walk, std::size_t m, 
 
 double opticalDepth(WorldReader& reader, const WorldRay& ray, RaySpan span, double lod, double time,
                     double enough, double* variance) {
-    MediaWalk walk(reader, ray, span, lod);
+    MediaWalk walk(reader, ray, span, time, lod);
     double depth = 0;
     for (RaySpan stretch; depth < enough && walk.next(stretch);)
         for (std::size_t m = 0; m < walk.mediumCount(); ++m) {

@@ -25,8 +25,9 @@ class MediaWalk {
 public:
     // Stretches end at cells of the fields, or only at those of the majorant grids.
     enum class Steps : std::uint8_t { kCells, kMajorants };
-    // `fixed_lod`: of the whole ray, or negative: as the camera sees each point.
-    MediaWalk(WorldReader& reader, const WorldRay& ray, RaySpan span, double fixed_lod = -1,
+    // `fixed_lod`: of the whole ray, or negative: as the camera sees each point. `time`: what moves has its
+    // cells where it then is.
+    MediaWalk(WorldReader& reader, const WorldRay& ray, RaySpan span, double time, double fixed_lod = -1,
               Steps steps = Steps::kCells);
 
     // The next stretch in which a medium is not known to be empty. False at the end.
@@ -50,7 +51,7 @@ private:
     WorldReader& reader_;
     WorldRay ray_;
     RaySpan span_;
-    double fixed_lod_;
+    double time_, fixed_lod_;
     Steps steps_;
     std::vector<Medium> media_;
 };
@@ -65,6 +66,10 @@ inline constexpr double kGaussPoint = 0.21132486540518711775;  // (1 - 1/sqrt(3)
 // `enough`.
 double opticalDepth(WorldReader& reader, const WorldRay& ray, RaySpan span, double lod, double time,
                     double enough, double* variance);
+// The density at evenly spaced points of a stretch, where it begins and ends included, as seen from within.
+// REQUIRES: at least two values.
+void stretchValues(MediumReader& medium, const MediaWalk& walk, std::size_t index, RaySpan stretch,
+                   double time, std::span<double> values);
 // Of one stretch that a walk gave, of one medium.
 double stretchDepth(MediumReader& medium, const MediaWalk& walk, std::size_t index, RaySpan stretch,
                     double time);

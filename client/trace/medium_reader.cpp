@@ -1,6 +1,8 @@
 #include "client/trace/medium_reader.h"
 
+#include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace brickyard {
 
@@ -120,6 +122,29 @@ glm::dvec3 MediumReader::gradient(const glm::dvec3& point, double lod, double ti
 
 double MediumReader::cellEdge(const glm::dvec3& point, double lod) {
     return now_.density->cellEdgeAt(medium_->transform().inversePoint(point), lod);
+}
+
+double MediumReader::smoothEdge(const glm::dvec3& point, double lod, double time,
+                                const MajorantCell& within) {
+    const Affine& transform = medium_->transform();
+    double edge = std::numeric_limits<double>::infinity();
+    auto add = [&](std::optional<ChannelReader>& reader, const glm::dvec3& at) {
+        if (!reader) return;
+        const Affine& own = reader->channel().transform();
+        const double scale = own == transform ? 1 : own.voxelSize() / transform.voxelSize();
+        edge = std::min(edge, scale * reader->cellEdgeAt(own.inversePoint(at), lod));
+    };
+    for (const bool next : {false, true}) {
+        if (next && !isBetween()) break;
+        Frame& frame = next ? next_ : now_;
+        const glm::dvec3 at = origin(frame, point, next && !medium_->advects ? 1 : timeNow(time), next);
+        if (within.extinction > 0) add(frame.density, at);
+        if (within.emission > 0) {
+            add(frame.emission, at);
+            add(frame.weight, at);
+        }
+    }
+    return edge;
 }
 
 double MediumReader::depthVariance(const glm::dvec3& point, double lod, double unit_length) {

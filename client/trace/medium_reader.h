@@ -32,6 +32,9 @@ public:
     // As ChannelReader: of the density, in index units; and its variance as optical depth, per world unit of
     // a ray in the direction of which an index unit has `unit_length`.
     double cellEdge(const glm::dvec3& point, double lod);
+    // The same of all that is read there, where it is then: of the density where `within` has extinction, of
+    // what glows where it has emission.
+    double smoothEdge(const glm::dvec3& point, double lod, double time, const MajorantCell& within);
     double depthVariance(const glm::dvec3& point, double lod, double unit_length);
 
     bool takeMissed();

@@ -49,7 +49,7 @@ struct PathWalk::Walk {
 
 double PathWalk::ratioTrack(Walk& walk, const WorldRay& ray, RaySpan span) {
     double transmittance = 1;
-    MediaWalk cells(reader_, ray, span, walk.lod, MediaWalk::Steps::kMajorants);
+    MediaWalk cells(reader_, ray, span, walk.time, walk.lod, MediaWalk::Steps::kMajorants);
     for (RaySpan cell; cells.next(cell);) {
         double majorant = 0;
         for (std::size_t m = 0; m < cells.mediumCount(); ++m)
@@ -102,7 +102,7 @@ PathWalk::Event PathWalk::fly(Walk& walk, const WorldRay& ray) {
             break;
         }
     }
-    MediaWalk cells(reader_, ray, span, walk.lod, MediaWalk::Steps::kMajorants);
+    MediaWalk cells(reader_, ray, span, walk.time, walk.lod, MediaWalk::Steps::kMajorants);
     for (RaySpan cell; cells.next(cell);) {
         double majorant = 0;
         for (std::size_t m = 0; m < cells.mediumCount(); ++m)

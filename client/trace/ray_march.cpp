@@ -122,37 +122,32 @@ double RayMarch::shading(std::size_t m, const glm::dvec3& point, const glm::dvec
 glm::dvec3 RayMarch::transferred(Ray& ray, const MediaWalk& walk, std::size_t m, RaySpan span,
                                  double& depth) {
     constexpr double kMuch = 0.02;
+    constexpr std::size_t kDensePieces = 8;
     MediumReader& reader = reader_.media[m];
     const MediumSettings& settings = *reader.medium().settings;
     const double length = span.end - span.begin, lod = walk.lod(m);
     glm::dvec3 source(0);
     double place = 0, stopped_all = 0;
-    auto integrate = [&](int pieces) {
+    auto integrate = [&](std::size_t pieces) {
         source = glm::dvec3(0);
         depth = place = stopped_all = 0;
-        double through = 1;
-        // Not on the border itself: the next cell may be background.
-        auto value = [&](int i) {
-            return reader.density(walk.at(span.begin + length * (0.001 + 0.998 * i / pieces)), lod, ray.time);
-        };
-        double before = value(0);
-        for (int i = 0; i < pieces; ++i) {
-            const double behind = value(i + 1);
-            const TransferFunction::Sample mean = settings.transfer->mean(before, behind);
-            const double part = settings.density_scale * mean.opacity * length / pieces;
+        double through = 1, values[kDensePieces + 1];
+        stretchValues(reader, walk, m, span, ray.time, {values, pieces + 1});
+        for (std::size_t i = 0; i < pieces; ++i) {
+            const TransferFunction::Sample mean = settings.transfer->mean(values[i], values[i + 1]);
+            const double part = settings.density_scale * mean.opacity * length / double(pieces);
             const double stopped = -through * std::expm1(-part);
             source += stopped * mean.color;
-            place += stopped * (i + 0.5) / pieces;
+            place += stopped * (double(i) + 0.5) / double(pieces);
             stopped_all += stopped;
             through -= stopped;
             depth += part;
-            before = behind;
         }
     };
     integrate(2);
     if (!(stopped_all > 0)) return source;
     const double taken = ray.transmittance * stopped_all;
-    if (taken > kMuch) integrate(8);
+    if (taken > kMuch) integrate(kDensePieces);
     if (settings.transfer_shading > 0) {
         LightMemo& memo = ray.memos[2 * m];
         if (taken > ray.negligible || memo.t < 0) {
@@ -230,7 +225,7 @@ void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
 
 void RayMarch::media(Ray& ray, RaySpan span) {
     if (reader_.media.empty()) return;
-    MediaWalk walk(reader_, ray.ray, span);
+    MediaWalk walk(reader_, ray.ray, span, ray.time);
     for (RaySpan piece; ray.transmittance > ray.opaque && walk.next(piece);) stretch(ray, walk, piece);
 }
 

@@ -72,7 +72,7 @@ void ShadowMaps::fill(std::size_t index, WorldReader& reader, SurfaceHits* surfa
         if (span.empty()) continue;
         double depth = 0;
         auto media = [&](RaySpan part) {
-            MediaWalk walk(reader, ray, part, block.lod);
+            MediaWalk walk(reader, ray, part, moment, block.lod);
             for (RaySpan stretch; depth < kDark && walk.next(stretch);) {
                 double own = 0;
                 for (std::size_t m = 0; m < walk.mediumCount(); ++m)
