@@ -92,15 +92,15 @@ void stretchValues(MediumReader& reader, const MediaWalk& walk, std::size_t m, R
     // Not on the borders themselves, where the next cell may be background; but what is thinner than what is
     // left out must not be lost.
     constexpr double kInside = 0.001;
-    const double length = stretch.end - stretch.begin, pieces = double(values.size() - 1);
-    const double step = (1 - 2 * kInside) / pieces, more = kInside / step;
-    for (std::size_t i = 0; i < values.size(); ++i)
-        values[i] =
-            reader.density(walk.at(stretch.begin + length * (kInside + step * double(i))), walk.lod(m), time);
-    double &first = values.front(), &last = values.back();
-    const double second = values[1], last_but_one = values[values.size() - 2];
-    first += more * (first - second);
-    last += more * (last - last_but_one);
+    const double length = stretch.end - stretch.begin, step = 1 / double(values.size() - 1);
+    for (std::size_t i = 0; i < values.size(); ++i) {
+        const double place = std::clamp(step * double(i), kInside, 1 - kInside);
+        values[i] = reader.density(walk.at(stretch.begin + length * place), walk.lod(m), time);
+    }
+    const double more = kInside / (step - kInside), second = values[1],
+                 last_but_one = values[values.size() - 2];
+    values.front() += more * (values.front() - second);
+    values.back() += more * (values.back() - last_but_one);
 }
 
 double stretchDepth(MediumReader& reader, const MediaWalk& walk, std::size_t m, RaySpan stretch,
