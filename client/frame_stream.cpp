@@ -6,6 +6,7 @@
 #include <tuple>
 
 #include "client/brick_page.h"
+#include "client/elapsed.h"
 #include "core/brick_codec.h"
 #include "core/brick_store.h"
 
@@ -17,10 +18,6 @@ using Clock = std::chrono::steady_clock;
 
 // A wish is answered in pieces; what arrives is drawn with after each wish, not after each piece.
 constexpr std::size_t kMaxWishPages = 16384;
-
-double secondsSince(Clock::time_point begin) {
-    return std::chrono::duration<double>(Clock::now() - begin).count();
-}
 
 }  // namespace
 

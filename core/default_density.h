@@ -9,8 +9,8 @@
 
 namespace brickyard {
 
-// "density" where there is one, else the only scalar channel; nothing where that is not clear. An index in
-// FrameFooter.channels.
+// "density" where there is one, else the only scalar channel, "light.0" and its like (docs/bake.md) left out;
+// nothing where that is not clear. An index in FrameFooter.channels.
 std::optional<std::uint32_t> defaultDensity(const FrameFooter& frame);
 
 }  // namespace brickyard

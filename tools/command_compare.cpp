@@ -22,7 +22,8 @@ constexpr float kEmptyAlpha = 1e-3f;
 struct CompareOptions {
     std::string picture, reference, difference;
     std::vector<double> background{0, 0, 0};
-    std::optional<double> max_rms, max_relative_rms;
+    std::optional<double> max_rms, max_relative_rms, max_mean;
+    std::vector<std::uint32_t> window;  // x, y, width, height; all where empty
     double gain = 10;
     bool json = false;
 };
@@ -35,6 +36,9 @@ struct Comparison {
     double worst = 0;
     std::uint32_t worst_x = 0, worst_y = 0;
     std::uint64_t covered = 0;
+    // Of R, G and B over all pixels, and the largest relative difference of the two.
+    std::array<double, 3> mean{}, reference_mean{};
+    double mean_difference = 0;
 };
 
 std::array<double, 3> over(const Pixel& pixel, const std::vector<double>& background) {
@@ -55,6 +59,8 @@ Comparison comparePictures(const Picture& picture, const Picture& reference,
         for (std::size_t c = 0; c < 3; ++c) {
             const double difference = a[c] - b[c], square = difference * difference;
             sum += square;
+            out.mean[c] += a[c] / double(picture.pixels.size());
+            out.reference_mean[c] += b[c] / double(picture.pixels.size());
             // Not a number counts as worst of all, and stays so.
             if (!(std::abs(difference) <= out.worst)) {
                 out.worst = std::abs(difference);
@@ -72,6 +78,19 @@ Comparison comparePictures(const Picture& picture, const Picture& reference,
     if (out.covered > 0) out.rms_covered = std::sqrt(covered / (3 * double(out.covered)));
     if (reference_squares > 0) out.relative_rms = std::sqrt(covered / reference_squares);
     if (squares > 0) out.factor = products / squares;
+    for (std::size_t c = 0; c < 3; ++c) {
+        const double difference = std::abs(out.mean[c] - out.reference_mean[c]) / out.reference_mean[c];
+        if (!(difference <= out.mean_difference)) out.mean_difference = difference;
+    }
+    return out;
+}
+
+Picture windowOf(const Picture& picture, const std::vector<std::uint32_t>& window) {
+    Picture out(window[2], window[3]);
+    for (std::uint32_t y = 0; y < out.height; ++y)
+        for (std::uint32_t x = 0; x < out.width; ++x)
+            out.pixels[std::size_t(y) * out.width + x] =
+                picture.pixels[std::size_t(y + window[1]) * picture.width + x + window[0]];
     return out;
 }
 
@@ -104,7 +123,20 @@ Result<Comparison> compareFiles(const CompareOptions& options) {
                      options.difference);
         if (!written) return tl::unexpected(written.error());
     }
-    return comparePictures(*picture, *reference, options.background);
+    if (options.window.empty()) return comparePictures(*picture, *reference, options.background);
+    const auto fits = [](std::uint32_t begin, std::uint32_t length, std::uint32_t all) {
+        return length > 0 && begin < all && length <= all - begin;
+    };
+    const std::vector<std::uint32_t>& window = options.window;
+    if (!fits(window[0], window[2], picture->width) || !fits(window[1], window[3], picture->height))
+        return fail(ErrorCode::kInvalid,
+                    fmt::format("--window {} {} {} {}: give X Y WIDTH HEIGHT within {} x {} pixels",
+                                window[0], window[1], window[2], window[3], picture->width, picture->height));
+    Comparison found =
+        comparePictures(windowOf(*picture, window), windowOf(*reference, window), options.background);
+    found.worst_x += window[0];
+    found.worst_y += window[1];
+    return found;
 }
 
 // Empty where the pictures are as near as was asked for.
@@ -115,6 +147,9 @@ std::string tooFar(const CompareOptions& options, const Comparison& found) {
     if (options.max_relative_rms && !(found.relative_rms <= *options.max_relative_rms))
         return fmt::format("relative rms {:.3g} is above {:g}", found.relative_rms,
                            *options.max_relative_rms);
+    if (options.max_mean && !(found.mean_difference <= *options.max_mean))
+        return fmt::format("a channel's mean differs by {:.3g} of the reference's, more than {:g}",
+                           found.mean_difference, *options.max_mean);
     return {};
 }
 
@@ -130,14 +165,18 @@ int runCompare(const CompareOptions& options) {
                                      {"worst", found->worst},
                                      {"worst_at", {found->worst_x, found->worst_y}},
                                      {"covered_pixels", found->covered},
+                                     {"mean", found->mean},
+                                     {"reference_mean", found->reference_mean},
+                                     {"mean_difference", found->mean_difference},
                                      {"within_limits", why.empty()}};
         fmt::print("{}\n", json.dump());
     } else {
         fmt::print(
             "{}: rms {:.3g} ({:.3g} over all pixels), relative {:.3g}, factor {:.4f}, worst {:.3g} at ({}, "
-            "{})\n",
+            "{}); means R {:.4g}, G {:.4g}, B {:.4g}, off by at most {:.3g}\n",
             options.picture, found->rms_covered, found->rms, found->relative_rms, found->factor, found->worst,
-            found->worst_x, found->worst_y);
+            found->worst_x, found->worst_y, found->mean[0], found->mean[1], found->mean[2],
+            found->mean_difference);
     }
     if (why.empty()) return kExitDone;
     return reportError("compare", {ErrorCode::kInvalid, fmt::format("{} against {}: {}", options.picture,
@@ -160,6 +199,11 @@ void addCompareCommand(CLI::App& app, int& status) {
                         "Fail above this root mean square of the difference where the picture is not empty");
     command->add_option("--max-relative-rms", options->max_relative_rms,
                         "The same, relative to the reference's root mean square there");
+    command->add_option(
+        "--max-mean", options->max_mean,
+        "Fail where the mean of R, G or B differs by more than this share of the reference's");
+    command->add_option("--window", options->window, "X Y WIDTH HEIGHT: compare these pixels alone")
+        ->expected(4);
     command->add_option("--difference", options->difference,
                         "OUT.png: grey where they agree, brighter where PICTURE is");
     command->add_option("--gain", options->gain, "Of the difference picture")->capture_default_str();

@@ -21,6 +21,7 @@ constexpr std::uint32_t kMaxEdge = 65536;
 constexpr std::uint64_t kMaxPixels = 1ull << 28;
 constexpr std::uint32_t kMaxSampleEdge = 16;
 constexpr std::uint32_t kMaxRays = 65536;
+constexpr std::uint32_t kMaxBounces = 65536;
 // Paths a pixel where neither a number nor an error is asked for.
 constexpr std::uint32_t kDefaultPaths = 64;
 // What a frame's number is at most (frame_plan.h): any fraction of a frame is still told apart.
@@ -90,6 +91,7 @@ Result<void> chooseSamples(const RenderOptions& options, RenderRequest& request)
     else if (request.path)
         request.samples = options.max_error ? 0 : kDefaultPaths;
     request.seed = options.seed;
+    request.most_bounces = options.bounces;
     return {};
 }
 
@@ -270,6 +272,11 @@ void addRenderOptions(CLI::App& command, RenderOptions& options) {
     command.add_option("--spp", options.rays,
                        "Stratified rays per pixel, 1 to 65536; with --quality path 64, or as many as "
                        "--max-error needs");
+    command
+        .add_option("--bounces", options.bounces,
+                    "Of a path, after the first scattering; 0: light that is scattered once")
+        ->check(CLI::Range(0u, kMaxBounces))
+        ->capture_default_str();
     command.add_option("--seed", options.seed, "Of what is random: another picture of the same noise")
         ->capture_default_str();
     command

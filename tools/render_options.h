@@ -21,6 +21,7 @@ struct RenderOptions {
     std::optional<double> density_scale, max_error, deadline, follow;
     std::optional<std::uint32_t> rays;  // --spp
     std::uint64_t seed = 0;
+    std::uint32_t bounces = RenderRequest().most_bounces;
     unsigned threads = 0, repeats = 0, samples = 1;
     bool strict = false, json = false;
 };

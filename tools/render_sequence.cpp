@@ -105,16 +105,17 @@ public:
 
     // After the picture: what was fetched counts as streamed.
     void end(RenderOutcome& outcome) {
-        if (!source_) return;
         ahead_.reset();
-        const SourceCounters fetched = source_->counters();
-        outcome.streamed.bytes_streamed += fetched.bytes_streamed;
-        outcome.streamed.pages_streamed += fetched.pages_streamed;
-        outcome.streamed.blocks_streamed += fetched.blocks_streamed;
-        use_ = useOf(*kept_);
-        kept_ = std::move(next_);
-        // Half the cache is too little: it is the picture's alone from here on.
-        if (outcome.cache.reloads > 0) source_.reset();
+        if (source_) {
+            fetched_ = source_->counters();
+            use_ = useOf(*kept_);
+            kept_ = std::move(next_);
+            // Half the cache is too little: it is the picture's alone from here on.
+            if (outcome.cache.reloads > 0) source_.reset();
+        }
+        outcome.streamed.bytes_streamed += fetched_.bytes_streamed;
+        outcome.streamed.pages_streamed += fetched_.pages_streamed;
+        outcome.streamed.blocks_streamed += fetched_.blocks_streamed;
     }
 
 private:
@@ -124,6 +125,7 @@ private:
     std::unique_ptr<BrickSource> source_;  // nullptr: nothing is fetched ahead
     std::unique_ptr<ResidentFrame> kept_ = std::make_unique<ResidentFrame>(), next_;
     std::string dataset_;
+    SourceCounters fetched_;
     FrameUse use_;                        // of the picture before
     std::optional<FramePrefetch> ahead_;  // ends before what it works on
 };

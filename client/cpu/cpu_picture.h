@@ -12,6 +12,7 @@
 
 #include "client/cpu/beam_tile.h"
 #include "client/cpu/ray_tracer.h"
+#include "client/elapsed.h"
 #include "client/frame_stream.h"
 #include "client/renderer.h"
 
@@ -85,9 +86,5 @@ private:
     std::atomic<std::uint64_t> stuck_{0};
     bool over_budget_ = false;
 };
-
-inline double secondsSince(std::chrono::steady_clock::time_point begin) {
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-}
 
 }  // namespace brickyard

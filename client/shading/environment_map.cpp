@@ -152,6 +152,23 @@ glm::dvec3 EnvironmentMap::radiance(const glm::dvec3& direction) const {
     return width_ == 0 ? constant_ : glm::dvec3(texels_[texelAt(direction)]);
 }
 
+glm::dvec3 EnvironmentMap::backdrop(const glm::dvec3& direction) const {
+    if (width_ == 0) return constant_;
+    const glm::dvec3 d = to_map_ * direction;
+    // From texel middle to texel middle; around the poles the rows end.
+    const double across = (0.5 - std::atan2(d.y, d.x) / kTwoPi) * width_ - 0.5;
+    const double down = std::acos(std::clamp(d.z, -1.0, 1.0)) / std::numbers::pi * height_ - 0.5;
+    const double column = std::floor(across), row = std::floor(down);
+    const auto texel = [&](double x, double y) {
+        const auto turned = std::size_t(std::fmod(x + width_, double(width_)));
+        return glm::dvec3(texels_[std::size_t(std::clamp(y, 0.0, height_ - 1.0)) * width_ + turned]);
+    };
+    const double u = across - column, v = down - row;
+    const glm::dvec3 above = texel(column, row) * (1 - u) + texel(column + 1, row) * u;
+    const glm::dvec3 below = texel(column, row + 1) * (1 - u) + texel(column + 1, row + 1) * u;
+    return above * (1 - v) + below * v;
+}
+
 double EnvironmentMap::density(const glm::dvec3& direction) const {
     return total_ > 0 ? luminance(radiance(direction)) / total_ : 0;
 }

@@ -29,6 +29,8 @@ public:
 
     // Radiance that comes from unit `direction` (world, from the scene towards the sky).
     glm::dvec3 radiance(const glm::dvec3& direction) const;
+    // The same to look at: between texels interpolated.
+    glm::dvec3 backdrop(const glm::dvec3& direction) const;
     // A direction with probability in proportion to what comes from there. u and v are uniform in [0, 1).
     struct Pick {
         glm::dvec3 direction{0, 0, 1};

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
+#include <utility>
 
 #include "client/cpu/node_error.h"
 #include "client/cpu/octree_walk.h"
@@ -77,6 +79,7 @@ void ChannelReader::find(const NodeKey& key, const glm::dvec3& position, Entry& 
     // The finest resident brick on the way down stands in for one that is missing.
     Entry stand_in;
     bool has_stand_in = false;
+    std::optional<std::pair<PageAddress, std::uint32_t>> coarsest;  // that is missing, and its bytes
     auto missing = [&](bool failed) {
         if (has_stand_in) {
             const NodeKey asked = out.key;
@@ -108,9 +111,15 @@ void ChannelReader::find(const NodeKey& key, const glm::dvec3& position, Entry& 
                 has_stand_in |= !stays;
                 if (stays) return;
             }
+            if (!stays && !samples && accuracy_.coarse_first && !coarsest &&
+                !(context_->failed && context_->failed->contains(WantedPage{false, page})))
+                coarsest.emplace(page, record.payload_bytes);
             if (stays) {
                 const bool failed = context_->failed && context_->failed->contains(WantedPage{false, page});
-                if (!failed) want({false, page}, record.payload_bytes);
+                if (!failed && coarsest)
+                    want({false, coarsest->first}, coarsest->second);
+                else if (!failed)
+                    want({false, page}, record.payload_bytes);
                 if (!has_stand_in) {
                     // Some value that the node may have.
                     takeNode(ref, at, out);
@@ -154,67 +163,68 @@ double ChannelReader::trilinear(const Entry& entry, const glm::dvec3& position, 
                  z = (position.z - entry.low.z) * entry.per_cell;
     const int i = std::clamp(int(x), 0, last), j = std::clamp(int(y), 0, last),
               k = std::clamp(int(z), 0, last);
-    const double fx = x - i, fy = y - j, fz = z - k;
+    // Samples are floats, and so is what lies between them.
+    const float fx = float(x - i), fy = float(y - j), fz = float(z - k);
     const std::size_t sy = std::size_t(shape.edgeSamples()), sz = sy * sy;
     const float* c = samples + shape.sampleAt(i, j, k);
-    auto mix = [](double a, double b, double t) { return a + (b - a) * t; };
-    const double y0 = mix(mix(double(c[0]), double(c[1]), fx), mix(double(c[sy]), double(c[sy + 1]), fx), fy);
-    const double y1 = mix(mix(double(c[sz]), double(c[sz + 1]), fx),
-                          mix(double(c[sz + sy]), double(c[sz + sy + 1]), fx), fy);
-    return mix(y0, y1, fz);
+    auto mix = [](float from, float to, float t) { return from + (to - from) * t; };
+    const float y0 = mix(mix(c[0], c[1], fx), mix(c[sy], c[sy + 1], fx), fy);
+    const float y1 = mix(mix(c[sz], c[sz + 1], fx), mix(c[sz + sy], c[sz + sy + 1], fx), fy);
+    return double(mix(y0, y1, fz));
 }
 
-// The kernels over 4^3 samples of the level's lattice, wherever they lie.
-double ChannelReader::filtered(const Entry& entry, int level, const glm::dvec3& position, int component) {
+// The kernels over 4^3 samples of the level's lattice, brick by brick where they lie in several.
+double ChannelReader::filtered(int level, const glm::dvec3& position, int component) {
     const double cell = cellEdge(level);
-    std::int64_t base[3];
+    const BrickShape shape = channel_->shape();
+    std::int64_t first[3];  // sample, in cells of the level
+    int split[3];           // samples of the first brick on each axis
     double weights[3][4];
     for (int a = 0; a < 3; ++a) {
         const double p = position[a] / cell;
-        base[a] = floorOf(p);
-        filterWeights(filter_, p - double(base[a]), weights[a]);
-    }
-    // All in this brick, and the brick on this level.
-    if (entry.samples && entry.edge == cell) {
-        const BrickShape shape = channel_->shape();
-        std::int64_t local[3];
-        bool inside = true;
-        for (int a = 0; a < 3; ++a) {
-            local[a] = base[a] - std::int64_t(entry.low[a] / cell) - 1;
-            inside = inside && local[a] >= 0 && local[a] + 3 <= shape.edge_cells;
-        }
-        if (inside) {
-            const float* samples = entry.samples + std::size_t(component) * shape.samples();
-            double sum = 0;
-            for (int k = 0; k < 4; ++k)
-                for (int j = 0; j < 4; ++j) {
-                    const float* row =
-                        samples + shape.sampleAt(int(local[0]), int(local[1]) + j, int(local[2]) + k);
-                    double line = 0;
-                    for (int i = 0; i < 4; ++i) line += weights[0][i] * double(row[i]);
-                    sum += weights[2][k] * weights[1][j] * line;
-                }
-            return sum;
-        }
-    } else if (!entry.samples && !entry.missing && entry.edge > 4 * cell) {
-        // Deep inside a region of one value.
-        bool inside = true;
-        for (int a = 0; a < 3; ++a) {
-            const double low = entry.low[a], high = low + entry.edge * edge_cells_;
-            inside = inside && double(base[a] - 1) * cell >= low && double(base[a] + 2) * cell < high;
-        }
-        if (inside) return double(entry.constant[component]);
+        const std::int64_t base = floorOf(p);
+        filterWeights(filter_, p - double(base), weights[a]);
+        first[a] = base - 1;
+        const std::int64_t in_brick = first[a] & (edge_cells_ - 1);  // edges are powers of two
+        split[a] = int(std::min<std::int64_t>(4, edge_cells_ - in_brick));
     }
     double sum = 0;
-    for (int k = 0; k < 4; ++k)
-        for (int j = 0; j < 4; ++j)
-            for (int i = 0; i < 4; ++i) {
-                const double weight = weights[0][i] * weights[1][j] * weights[2][k];
-                if (weight == 0) continue;
-                const glm::dvec3 sample(double(base[0] - 1 + i) * cell, double(base[1] - 1 + j) * cell,
-                                        double(base[2] - 1 + k) * cell);
-                sum += weight * trilinear(entryAt(level, sample), sample, component);
-            }
+    for (int part = 0; part < 8; ++part) {
+        int begin[3], end[3];
+        bool empty = false;
+        for (int a = 0; a < 3; ++a) {
+            begin[a] = part >> a & 1 ? split[a] : 0;
+            end[a] = part >> a & 1 ? 4 : split[a];
+            empty = empty || begin[a] >= end[a];
+        }
+        if (empty) continue;
+        const glm::dvec3 corner(double(first[0] + begin[0]) * cell, double(first[1] + begin[1]) * cell,
+                                double(first[2] + begin[2]) * cell);
+        const Entry& entry = entryAt(level, corner);
+        if (entry.samples && entry.edge == cell) {
+            const float* samples =
+                entry.samples + std::size_t(component) * shape.samples() +
+                shape.sampleAt(int((corner.x - entry.low.x) / cell), int((corner.y - entry.low.y) / cell),
+                               int((corner.z - entry.low.z) / cell));
+            for (int k = begin[2]; k < end[2]; ++k)
+                for (int j = begin[1]; j < end[1]; ++j) {
+                    const float* row = samples + shape.sampleAt(0, j - begin[1], k - begin[2]);
+                    double line = 0;
+                    for (int i = begin[0]; i < end[0]; ++i) line += weights[0][i] * double(row[i - begin[0]]);
+                    sum += weights[2][k] * weights[1][j] * line;
+                }
+            continue;
+        }
+        // What stands for the brick is coarser, or one value.
+        for (int k = begin[2]; k < end[2]; ++k)
+            for (int j = begin[1]; j < end[1]; ++j)
+                for (int i = begin[0]; i < end[0]; ++i) {
+                    const glm::dvec3 sample =
+                        corner + cell * glm::dvec3(i - begin[0], j - begin[1], k - begin[2]);
+                    sum +=
+                        weights[0][i] * weights[1][j] * weights[2][k] * trilinear(entry, sample, component);
+                }
+    }
     return sum;
 }
 
@@ -226,11 +236,8 @@ double ChannelReader::onLevel(int level, const glm::dvec3& position, int compone
                                 double(floorOf(position.z / cell + 0.5)) * cell);
         return trilinear(entryAt(level, sample), sample, component);
     }
-    const Entry& entry = entryAt(level, position);
-    if (filter_ == FieldFilter::kTrilinear) return trilinear(entry, position, component);
-    // Neighbours may take the entry's place.
-    const Entry copy = entry;
-    return filtered(copy, level, position, component);
+    if (filter_ == FieldFilter::kTrilinear) return trilinear(entryAt(level, position), position, component);
+    return filtered(level, position, component);
 }
 
 double ChannelReader::blended(const glm::dvec3& position, double lod, int component) {

@@ -22,6 +22,9 @@ struct ReadAccuracy {
     // A node is not descended from where its mean square deviation from level 0, times its cell edge in index
     // units, is at most this: the variance of an integral of the field per index unit of a ray.
     double square_budget = 0;
+    // Coarse bricks are wanted before fine ones: for a picture that limits may end at any time. Else only
+    // those that the finished picture is made of.
+    bool coarse_first = false;
 };
 
 class ChannelReader {
@@ -69,7 +72,7 @@ private:
     void takeNode(const NodeRef& ref, const NodeKey& key, Entry& out) const;
     double onLevel(int level, const glm::dvec3& position, int component);
     double trilinear(const Entry& entry, const glm::dvec3& position, int component) const;
-    double filtered(const Entry& entry, int level, const glm::dvec3& position, int component);
+    double filtered(int level, const glm::dvec3& position, int component);
     double blended(const glm::dvec3& position, double lod, int component);
     int clampLevel(double lod) const;
     void want(const WantedPage& page, std::uint32_t bytes);

@@ -88,17 +88,19 @@ bool MediaWalk::next(RaySpan& stretch) {
 }
 
 void stretchValues(MediumReader& reader, const MediaWalk& walk, std::size_t m, RaySpan stretch, double time,
-                   double (&values)[3]) {
+                   std::span<double> values) {
     // Not on the borders themselves, where the next cell may be background; but what is thinner than what is
     // left out must not be lost.
     constexpr double kInside = 0.001;
     const double length = stretch.end - stretch.begin;
-    for (int i = 0; i < 3; ++i)
-        values[i] = reader.density(walk.at(stretch.begin + length * (kInside + (0.5 - kInside) * i)),
-                                   walk.lod(m), time);
-    constexpr double kMore = kInside / (0.5 - kInside);
-    values[0] += kMore * (values[0] - values[1]);
-    values[2] += kMore * (values[2] - values[1]);
+    const std::size_t last = values.size() - 1;
+    for (std::size_t i = 0; i <= last; ++i) {
+        const double place = std::clamp(double(i) / double(last), kInside, 1 - kInside);
+        values[i] = reader.density(walk.at(stretch.begin + length * place), walk.lod(m), time);
+    }
+    const double more = kInside / (1 / double(last) - kInside);
+    values[0] += more * (values[0] - values[1]);
+    values[last] += more * (values[last] - values[last - 1]);
 }
 
 double stretchDepth(MediumReader& reader, const MediaWalk& walk, std::size_t m, RaySpan stretch,

@@ -66,9 +66,10 @@ inline constexpr double kGaussPoint = 0.21132486540518711775;  // (1 - 1/sqrt(3)
 // `enough`.
 double opticalDepth(WorldReader& reader, const WorldRay& ray, RaySpan span, double lod, double time,
                     double enough, double* variance);
-// The density where a stretch begins, in its middle and where it ends, as seen from within.
+// The density at equal distances from where a stretch begins to where it ends, as seen from within.
+// REQUIRES: at least 2 values.
 void stretchValues(MediumReader& medium, const MediaWalk& walk, std::size_t index, RaySpan stretch,
-                   double time, double (&values)[3]);
+                   double time, std::span<double> values);
 // Of one stretch that a walk gave, of one medium.
 double stretchDepth(MediumReader& medium, const MediaWalk& walk, std::size_t index, RaySpan stretch,
                     double time);

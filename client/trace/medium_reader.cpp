@@ -29,13 +29,16 @@ void MediumReader::open(Frame& frame, const MediumChannels& channels, const Trac
 glm::dvec3 MediumReader::origin(Frame& frame, const glm::dvec3& point, double time, double frame_time) {
     const double elapsed = time - frame_time;
     if (!frame.velocity || elapsed == 0) return point;
-    // Back along the flow by the midpoint rule.
+    // Back along the flow, by the midpoint rule.
     const Affine& transform = frame.velocity->channel().transform();
     const double scale = medium_->settings->velocity_scale * elapsed;
     auto velocity = [&](const glm::dvec3& at) {
         return frame.velocity->vector(transform.inversePoint(at), 0) * scale;
     };
-    return point - velocity(point - 0.5 * velocity(point));
+    const glm::dvec3 step = velocity(point);
+    // Within a voxel the flow hardly changes.
+    if (glm::length(step) < 0.5 * transform.voxelSize()) return point - step;
+    return point - velocity(point - 0.5 * step);
 }
 
 double MediumReader::densityIn(Frame& frame, const glm::dvec3& point, double lod, double time,
@@ -145,10 +148,21 @@ double MediumReader::smoothEdge(const glm::dvec3& point, double lod, double time
 }
 
 double MediumReader::depthVariance(const glm::dvec3& point, double lod, double unit_length) {
-    const double scale = medium_->settings->density_scale;
-    // Per index unit of length, in index units squared: twice to world units.
-    return now_.density->squareAt(medium_->transform().inversePoint(point), lod) * scale * scale *
-           unit_length;
+    const MediumSettings& settings = *medium_->settings;
+    const glm::dvec3 index = medium_->transform().inversePoint(point);
+    double square = now_.density->squareAt(index, lod);
+    if (square == 0) return 0;
+    if (settings.transfer) {
+        // What the deviation makes of the opacity there.
+        const double edge = now_.density->cellEdgeAt(index, lod);
+        const double deviation = std::sqrt(square / edge), value = now_.density->value(index, lod);
+        const double slope = settings.transfer->mean(value, value + deviation).opacity -
+                             settings.transfer->mean(value - deviation, value).opacity;
+        square = slope * slope * edge;
+    }
+    // Per index unit of length, in index units squared: twice to world units, of which the caller's length is
+    // one.
+    return square * settings.density_scale * settings.density_scale * unit_length;
 }
 
 bool MediumReader::takeMissed() {

@@ -12,7 +12,7 @@ constexpr double kInfinity = std::numeric_limits<double>::infinity();
 // Bounces before roulette begins.
 constexpr std::uint32_t kCertainBounces = 3;
 // Tentative collisions per cell of the majorant grid where something glows, at least.
-constexpr double kGlowSamples = 4;
+constexpr double kGlowSamples = 10;
 // More lights than this are not all sampled at each point, but one of them.
 constexpr std::size_t kAllLights = 3;
 

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numbers>
+#include <span>
 
 namespace brickyard {
 
@@ -12,7 +14,11 @@ constexpr std::uint32_t kAmbientRays = 16;
 // Of a gradient-shaded medium or a surface without lights, what faces the eye edge-on keeps.
 constexpr double kHeadlightAmbient = 0.25;
 
+// Cells along a ray over which the light of an environment is taken for the same.
+constexpr double kMemoCells = 2;
+
 double greatest(const glm::dvec3& v) { return std::max({v.x, v.y, v.z}); }
+double square(double x) { return x * x; }
 
 // (1 - exp(-x)) / x
 double meanTransmittance(double depth) {
@@ -21,31 +27,64 @@ double meanTransmittance(double depth) {
 
 }  // namespace
 
+struct LightMemo {
+    double t = -std::numeric_limits<double>::infinity();
+    glm::dvec3 radiance{0};
+    double variance = 0;
+};
+
 struct RayMarch::Ray {
     WorldRay ray;
     double time = 0;
     double transmittance = 1;
     double depth_variance = 0;  // of the optical depth so far
     glm::dvec3 last_source{0};
-    double opaque = 0;  // below this transmittance the ray ends
+    double opaque = 0;      // below this transmittance the ray ends
+    double negligible = 0;  // a stretch that takes less of the light than this may be lit carelessly
+    std::vector<LightMemo> memos;
     std::vector<MarchStep>* steps = nullptr;
     RaySample out;
 };
 
-// In-scattered radiance times 4 pi-normalised phase, before the albedo.
-glm::dvec3 RayMarch::scattered(std::size_t m, const glm::dvec3& point, const glm::dvec3& direction,
-                               double lod, double time, double& variance) {
+// In-scattered radiance, of an albedo of 1, of the lights that are parts of environments or of the others.
+glm::dvec3 RayMarch::scattered(std::size_t m, bool of_environment, const glm::dvec3& point,
+                               const glm::dvec3& direction, double lod, double time, double& variance) {
     const MediumSettings& settings = *reader_.world.media[m].settings;
     glm::dvec3 sum(0);
     for (std::size_t l = 0; l < reader_.world.lights.size(); ++l) {
-        const LightArrival arrival = arrivalAt(reader_.world.lights[l].light, point);
+        const TracedLight& light = reader_.world.lights[l];
+        if (light.of_environment != of_environment) continue;
+        const LightArrival arrival = arrivalAt(light.light, point);
         if (greatest(arrival.irradiance) == 0) continue;
         const Reach reach = lights_.of(l, arrival, point, lod, time);
         // Light goes -to_light before, and -direction (to the eye) after.
         const double phase = settings.phase(glm::dot(arrival.to_light, direction));
         sum += reach.transmittance * phase * arrival.irradiance;
-        const double deviation = reach.deviation * phase * greatest(arrival.irradiance);
-        variance += deviation * deviation;
+        variance += square(reach.deviation * phase * greatest(arrival.irradiance));
+    }
+    return sum;
+}
+
+// The same of all lights, where it matters: an environment changes little from cell to cell, and a stretch
+// that hardly scatters takes what the one before had. A reference takes no such shortcut.
+glm::dvec3 RayMarch::lit(Ray& ray, std::size_t m, RaySpan span, const glm::dvec3& point, double weight,
+                         double cell, double lod, double& variance) {
+    const TracedWorld& world = reader_.world;
+    glm::dvec3 sum(0);
+    const double middle = 0.5 * (span.begin + span.end);
+    for (const bool of_environment : {false, true}) {
+        if (of_environment && !world.has_environment) continue;
+        LightMemo& memo = ray.memos[2 * m + of_environment];
+        const double away = middle - memo.t;
+        const bool near = of_environment ? away < kMemoCells * cell : weight < ray.negligible && away < cell;
+        if (world.quality.reference || !near) {
+            memo.t = middle;
+            memo.variance = 0;
+            memo.radiance =
+                scattered(m, of_environment, point, ray.ray.direction, lod, ray.time, memo.variance);
+        }
+        sum += memo.radiance;
+        variance += memo.variance;
     }
     return sum;
 }
@@ -78,6 +117,52 @@ double RayMarch::shading(std::size_t m, const glm::dvec3& point, const glm::dvec
     return amount;
 }
 
+// A medium with a transfer function: its optical depth in a stretch, and its radiance as if nothing were in
+// front within it. Where much is stopped, the stretch is taken in more pieces, so that an edge lies where it
+// lies.
+glm::dvec3 RayMarch::transferred(Ray& ray, const MediaWalk& walk, std::size_t m, RaySpan span,
+                                 double& depth) {
+    constexpr double kMuch = 0.02;
+    constexpr int kMostPieces = 8;
+    MediumReader& reader = reader_.media[m];
+    const MediumSettings& settings = *reader.medium().settings;
+    const double length = span.end - span.begin, lod = walk.lod(m);
+    glm::dvec3 source(0);
+    double place = 0, stopped_all = 0;
+    auto integrate = [&](int pieces) {
+        source = glm::dvec3(0);
+        depth = place = stopped_all = 0;
+        double through = 1;
+        double values[kMostPieces + 1];
+        stretchValues(reader, walk, m, span, ray.time, std::span(values, std::size_t(pieces) + 1));
+        for (int i = 0; i < pieces; ++i) {
+            const TransferFunction::Sample mean = settings.transfer->mean(values[i], values[i + 1]);
+            const double part = settings.density_scale * mean.opacity * length / pieces;
+            const double stopped = -through * std::expm1(-part);
+            source += stopped * mean.color;
+            place += stopped * (i + 0.5) / pieces;
+            stopped_all += stopped;
+            through -= stopped;
+            depth += part;
+        }
+    };
+    integrate(2);
+    if (!(stopped_all > 0)) return source;
+    const double taken = ray.transmittance * stopped_all;
+    if (taken > kMuch) integrate(kMostPieces);
+    if (settings.transfer_shading > 0) {
+        LightMemo& memo = ray.memos[2 * m];
+        if (taken > ray.negligible || memo.t < 0) {
+            memo.t = span.begin + length * place / stopped_all;
+            glm::dvec3 light;
+            const double amount = shading(m, walk.at(memo.t), ray.ray.direction, lod, ray.time, light);
+            memo.radiance = (1 - amount) + amount * light;
+        }
+        source *= memo.radiance;
+    }
+    return source / meanTransmittance(depth);
+}
+
 void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
     const double length = span.end - span.begin;
     const double time = ray.time;
@@ -96,30 +181,17 @@ void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
         if (walk.majorant(m).extinction > 0) {
             double own = 0;
             if (settings.transfer) {
-                glm::dvec3 shown(0);
-                double values[3];
-                stretchValues(reader, walk, m, span, time, values);
-                for (int half = 0; half < 2; ++half) {
-                    const TransferFunction::Sample mean =
-                        settings.transfer->mean(values[half], values[half + 1]);
-                    const double part = settings.density_scale * mean.opacity * 0.5 * length;
-                    own += part;
-                    shown += part * mean.color;
-                }
-                if (own > 0 && settings.transfer_shading > 0) {
-                    glm::dvec3 light;
-                    const double amount = shading(m, middle, ray.ray.direction, lod, time, light);
-                    shown *= (1 - amount) + amount * light;
-                }
-                source += shown;
+                source += transferred(ray, walk, m, span, own);
             } else {
                 own = stretchDepth(reader, walk, m, span, time);
                 if (own > 0 && !ray.steps && !reader_.world.lights.empty()) {
                     const glm::dvec3 albedo = reader.albedo(middle, lod, time);
                     if (greatest(albedo) > 0) {
                         double deviation = 0;
-                        source +=
-                            own * albedo * scattered(m, middle, ray.ray.direction, lod, time, deviation);
+                        const double cell = reader.cellEdge(middle, lod) * walk.indexRay(m).unitLength();
+                        source += own * albedo *
+                                  lit(ray, m, span, middle, ray.transmittance * std::min(1.0, own), cell, lod,
+                                      deviation);
                         light_variance += own * own * deviation;
                     }
                 }
@@ -142,11 +214,10 @@ void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
     // light that changes within the stretch may be off by.
     const double share = depth > 0 ? 1 : 0;
     const glm::dvec3 per_depth = depth > 0 ? source / depth : glm::dvec3(0);
-    ray.out.radiance_variance +=
-        share * variance * std::pow(ray.transmittance * greatest(per_depth), 2) +
-        ray.transmittance * ray.transmittance *
-            (light_variance + std::pow(0.05 * greatest(spread), 2) +
-             std::pow(0.05 * greatest(glm::abs(per_depth - ray.last_source)) * depth, 2));
+    ray.out.radiance_variance += share * variance * square(ray.transmittance * greatest(per_depth)) +
+                                 ray.transmittance * ray.transmittance *
+                                     (light_variance + square(0.05 * greatest(spread)) +
+                                      square(0.05 * greatest(glm::abs(per_depth - ray.last_source)) * depth));
     if (depth > 0) ray.last_source = per_depth;
     ray.depth_variance += variance;
     const double before = 1 - ray.transmittance;
@@ -180,7 +251,11 @@ glm::dvec3 RayMarch::shade(const PlacedHit& hit, const glm::dvec3& point, const 
         const LightArrival arrival = arrivalAt(light.light, point);
         const double cosine = glm::dot(normal, arrival.to_light);
         if (!(cosine > 0) || greatest(arrival.irradiance) == 0) continue;
-        const double reach = lights_.of(l, arrival, point, 0, time).transmittance;
+        // By a ray: a map is too coarse to tell a surface from what it hides.
+        const double reach =
+            light.shadows == ShadowMethod::kNone
+                ? 1
+                : lights_.along({point, arrival.to_light}, arrival.distance, 0, time).transmittance;
         if (reach == 0) continue;
         const double open = light.of_environment ? ambient : 1;
         sum += open * reach * cosine * arrival.irradiance *
@@ -197,6 +272,8 @@ RaySample RayMarch::march(const WorldRay& world_ray, double end, double time, st
     ray.time = time;
     ray.steps = steps;
     ray.opaque = world.quality.reference ? 1e-9 : std::min(1e-4, 0.02 * world.quality.max_error);
+    ray.negligible = world.quality.reference ? 0 : 0.1 * world.quality.max_error;
+    ray.memos.assign(2 * world.media.size(), {});
     marks_.clear();
     double from = 0;
     if (surfaces_) {
@@ -224,8 +301,7 @@ RaySample RayMarch::march(const WorldRay& world_ray, double end, double time, st
 
     ray.out.alpha = 1 - ray.transmittance;
     ray.out.alpha_variance = ray.transmittance * ray.transmittance * ray.depth_variance;
-    ray.out.radiance_variance +=
-        std::pow(greatest(ray.out.radiance), 2) * ray.depth_variance * ray.transmittance;
+    ray.out.radiance_variance += square(greatest(ray.out.radiance)) * ray.depth_variance * ray.transmittance;
     for (const Mark& mark : marks_)
         if (2 * mark.alpha >= ray.out.alpha && mark.alpha > 0) {
             // In a stretch light dies exponentially.
@@ -239,7 +315,7 @@ RaySample RayMarch::march(const WorldRay& world_ray, double end, double time, st
     if (end == std::numeric_limits<double>::infinity())
         for (const WorldLight& light : world.settings.lights)
             if (light.visible && light.environment) {
-                ray.out.radiance += ray.transmittance * light.environment->radiance(world_ray.direction);
+                ray.out.radiance += ray.transmittance * light.environment->backdrop(world_ray.direction);
                 ray.out.alpha = 1;
             }
     return ray.out;

@@ -47,9 +47,12 @@ public:
 private:
     struct Ray;
     void media(Ray& ray, RaySpan span);
+    glm::dvec3 transferred(Ray& ray, const MediaWalk& walk, std::size_t medium, RaySpan span, double& depth);
     void stretch(Ray& ray, const MediaWalk& walk, RaySpan span);
-    glm::dvec3 scattered(std::size_t medium, const glm::dvec3& point, const glm::dvec3& direction, double lod,
-                         double time, double& variance);
+    glm::dvec3 scattered(std::size_t medium, bool of_environment, const glm::dvec3& point,
+                         const glm::dvec3& direction, double lod, double time, double& variance);
+    glm::dvec3 lit(Ray& ray, std::size_t medium, RaySpan span, const glm::dvec3& point, double weight,
+                   double cell, double lod, double& variance);
     double shading(std::size_t medium, const glm::dvec3& point, const glm::dvec3& direction, double lod,
                    double time, glm::dvec3& light);
 

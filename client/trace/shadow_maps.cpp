@@ -12,7 +12,7 @@ namespace {
 
 // Pixels along the longest edge of a map: as fine as the medium, within reason. A part of an environment is
 // one of many, and its neighbours blur it.
-constexpr double kLeastEdge = 64, kMostEdge = 512, kMostPartEdge = 96;
+constexpr double kLeastEdge = 64, kMostEdge = 512, kMostPartEdge = 64;
 // Of the error that a picture may have, what the compression of a map may make.
 constexpr double kErrorShare = 0.2;
 constexpr double kLeastError = 1e-4;
@@ -26,14 +26,14 @@ ShadowMaps::ShadowMaps(const TracedWorld& world) : world_(world), maps_(world.li
     // The finest that is seen.
     const glm::dvec3 nearest = glm::clamp(world.camera->eye(), world.box_low, world.box_high);
     double voxel = std::numeric_limits<double>::infinity();
-    lod_ = std::numeric_limits<double>::infinity();
+    double lod = std::numeric_limits<double>::infinity();
     for (const TracedMedium& medium : world.media) {
-        lod_ = std::min(lod_, world.lodAt(medium, nearest));
+        lod = std::min(lod, world.lodAt(medium, nearest));
         voxel = std::min(voxel, medium.transform().voxelSize() * std::exp2(world.lodAt(medium, nearest)));
     }
     for (const TracedSurface& surface : world.surfaces)
         voxel = std::min(voxel, surface.channel.channel->transform().voxelSize() * std::exp2(surface.level));
-    if (!std::isfinite(lod_)) lod_ = 0;
+    if (!std::isfinite(lod)) lod = 0;
     const double longest = std::max({size.x, size.y, size.z});
     if (!(longest > 0) || !std::isfinite(voxel)) return;
     const double error = std::max(kLeastError, kErrorShare * world.quality.max_error);
@@ -51,7 +51,10 @@ ShadowMaps::ShadowMaps(const TracedWorld& world) : world_(world), maps_(world.li
                 : LightProjection::directional(is.to_light, box, pixels);
         maps_[l] = std::make_unique<DeepShadowMap>(projection, error);
         for (std::uint32_t begin = 0; begin < projection.pixelCount(); begin += kBlockPixels)
-            blocks_.push_back({l, begin, std::min(begin + kBlockPixels, projection.pixelCount())});
+            // Detail below a pixel of the map is filtered, as it is for the camera.
+            blocks_.push_back(
+                {l, begin, std::min(begin + kBlockPixels, projection.pixelCount()),
+                 world.quality.reference ? lod : lod + std::max(0.0, std::log2(longest / voxel / edge))});
     }
 }
 
@@ -69,7 +72,7 @@ void ShadowMaps::fill(std::size_t index, WorldReader& reader, SurfaceHits* surfa
         if (span.empty()) continue;
         double depth = 0;
         auto media = [&](RaySpan part) {
-            MediaWalk walk(reader, ray, part, moment, lod_);
+            MediaWalk walk(reader, ray, part, moment, block.lod);
             for (RaySpan stretch; depth < kDark && walk.next(stretch);) {
                 double own = 0;
                 for (std::size_t m = 0; m < walk.mediumCount(); ++m)

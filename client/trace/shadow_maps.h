@@ -38,9 +38,9 @@ private:
     struct Block {
         std::size_t light = 0;
         std::uint32_t begin = 0, end = 0;  // pixels
+        double lod = 0;
     };
     const TracedWorld& world_;
-    double lod_ = 0;
     std::vector<std::unique_ptr<DeepShadowMap>> maps_;  // by light
     std::vector<Block> blocks_;
 };

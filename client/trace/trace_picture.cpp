@@ -17,6 +17,8 @@ namespace {
 
 // Of a pixel's standard deviation, what levels of detail of the density may make.
 constexpr double kLevelShare = 0.5;
+// Errors below which a map of shadows would have to be finer than it can be.
+constexpr double kExactBelow = 5e-4;
 
 bool simpleLight(const Light& light) {
     return light.type().empty() || light.type() == "directional"
@@ -206,14 +208,16 @@ void TracePicture::makeLights() {
         if (shadows == ShadowMethod::kAuto) shadows = request_.shadows.value_or(ShadowMethod::kAuto);
         // Left to us: what was baked is there, exact where the picture is a reference, else maps.
         if (shadows == ShadowMethod::kAuto)
-            shadows = request_.quality.reference ? ShadowMethod::kExact
-                      : world_.baked[l]          ? ShadowMethod::kBaked
-                                                 : ShadowMethod::kDeepMap;
+            shadows = request_.quality.reference || request_.quality.max_error < kExactBelow
+                          ? ShadowMethod::kExact
+                      : world_.baked[l] ? ShadowMethod::kBaked
+                                        : ShadowMethod::kDeepMap;
         if (shadows == ShadowMethod::kBaked && !world_.baked[l]) shadows = ShadowMethod::kDeepMap;
         if (light.kind != WorldLight::Kind::kEnvironment) {
             world_.lights.push_back({light, shadows, l, false});
             continue;
         }
+        world_.has_environment = true;
         for (const EnvironmentMap::DistantLight& part : light.environment->distantLights(light.samples)) {
             WorldLight distant;
             distant.to_light = part.to_light;
@@ -240,7 +244,9 @@ void TracePicture::setAccuracy() {
     for (const TracedMedium& medium : world_.media) add(*medium.now.density.channel);
     for (const TracedSurface& surface : world_.surfaces) add(*surface.channel.channel);
     const double diagonal = glm::length(world_.box_high - world_.box_low);
+    const bool limited = request_.deadline || request_.max_stream_bytes != UINT64_MAX;
     for (TracedMedium& medium : world_.media) {
+        medium.density_accuracy.coarse_first = medium.other_accuracy.coarse_first = limited;
         if (quality.reference) continue;
         medium.pixels_per_voxel = quality.pixels_per_voxel;
         // A transfer function may make much of a small difference.
@@ -264,6 +270,11 @@ void TracePicture::setAccuracy() {
 
 Result<void> TracePicture::open() {
     threads_ = request_.threads ? request_.threads : std::max(1u, std::thread::hardware_concurrency());
+    if (request_.quality.strict)
+        return fail(
+            ErrorCode::kUnsupported,
+            "--strict: only pictures of one medium, lit by at most one directional light, have a guaranteed "
+            "bound (docs/error-bounds.md); leave it out, or simplify the scene");
     if (Result<void> opened = openFrames(); !opened) return opened;
     const double aspect = double(request_.width) / double(request_.height);
     if (request_.camera)
@@ -290,8 +301,17 @@ Result<void> TracePicture::open() {
     most_samples_ = samples_ ? samples_ : 4096;
     outcome_.picture = Picture(request_.width, request_.height);
     outcome_.background = world_.settings.background;
-    sums_.resize(outcome_.picture.pixels.size());
+    if (request_.explain) outcome_.why.resize(outcome_.picture.pixels.size());
+    wants_.resize(streams_.size());
+    makeTiles();
+    return {};
+}
+
+void TracePicture::makeTiles() {
     constexpr std::uint32_t kTileEdge = 16;
+    tiles_.clear();
+    sums_.assign(outcome_.picture.pixels.size(), {});
+    rounds_ = 0;
     for (std::uint32_t y = 0; y < request_.height; y += kTileEdge)
         for (std::uint32_t x = 0; x < request_.width; x += kTileEdge) {
             Tile tile;
@@ -301,8 +321,6 @@ Result<void> TracePicture::open() {
             tile.y1 = std::min(y + kTileEdge, request_.height);
             tiles_.push_back(std::move(tile));
         }
-    wants_.resize(streams_.size());
-    return {};
 }
 
 }  // namespace brickyard

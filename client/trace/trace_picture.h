@@ -11,6 +11,7 @@
 #include <optional>
 #include <vector>
 
+#include "client/elapsed.h"
 #include "client/frame_stream.h"
 #include "client/renderer.h"
 #include "client/trace/path_walk.h"
@@ -80,11 +81,17 @@ private:
     Result<bool> prepare();
     Result<bool> buildShadowMaps();
     Result<void> draw();
+    // Where time was up before anything was drawn: every few pixels, whatever it takes.
+    void drawRough();
+    // The whole picture again with the pages that are there; false where one is missing.
+    bool repeat();
+    void makeTiles();
     void traceTile(std::size_t index, Worker& worker);
     RaySample traceSample(std::uint32_t x, std::uint32_t y, std::uint32_t sample, RayMarch& march,
                           PathWalk& walk) const;
     void finishRound(Tile& tile);
     void writePixel(std::uint32_t at);
+    void writeStandIn(const RaySample& sample, std::uint32_t at);
     double rayEnd(std::uint32_t x, std::uint32_t y) const;
     // Runs `body(worker, next)` on all threads; `next()` gives items until they are out, the cache is full of
     // wants, or time is up. Merges what was missed.

@@ -29,10 +29,6 @@ constexpr float kOverviewPixelsPerVoxel = 16;
 
 constexpr const char* kSmallCache = "--cache holds too few bricks for a few rays of this scene; give it more";
 
-double secondsSince(std::chrono::steady_clock::time_point begin) {
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-}
-
 }  // namespace
 
 Result<void> TracePicture::overview() {
@@ -312,65 +308,6 @@ Result<void> TracePicture::draw() {
     }
 }
 
-void TracePicture::finish() {
-    // What was begun and misses pages is shown with what stood in for them.
-    for (const Tile& tile : tiles_) {
-        if (tile.done || tile.round_samples == 0) continue;
-        const std::uint32_t width = tile.x1 - tile.x0;
-        for (std::size_t i = 0; i * tile.round_samples < tile.round.size(); ++i) {
-            const std::uint32_t at =
-                (tile.y0 + std::uint32_t(i) / width) * request_.width + tile.x0 + std::uint32_t(i) % width;
-            if (sums_[at].samples > 0) continue;
-            const RaySample& sample = tile.round[i * tile.round_samples];
-            Pixel& pixel = outcome_.picture.pixels[at];
-            for (int c = 0; c < 3; ++c) pixel.radiance[std::size_t(c)] = float(sample.radiance[c]);
-            pixel.alpha = float(sample.alpha);
-            pixel.depth = float(sample.depth);
-        }
-    }
-    const bool all_done =
-        std::all_of(tiles_.begin(), tiles_.end(), [](const Tile& tile) { return tile.done; });
-    for (Pixel& pixel : outcome_.picture.pixels)
-        if (pixel.bound_radiance == 0) {
-            // Not one sample: nothing is known.
-            pixel.bound_radiance = std::numeric_limits<float>::infinity();
-            pixel.bound_alpha = 1;
-            pixel.estimate_alpha = pixel.estimate_radiance = 1;
-        }
-    std::uint64_t waiting = 0;
-    for (const WantList& list : wants_) waiting += list.size();
-    outcome_.not_final.no_finer_data = stuck_.load();
-    if (!all_done)
-        (over_budget_ ? outcome_.not_final.over_budget : outcome_.not_final.queued) =
-            std::max<std::uint64_t>(1, waiting);
-    for (FrameStream& stream : streams_) {
-        outcome_.not_final.failed += stream.failed().size();
-        outcome_.retried += stream.retried();
-        if (outcome_.first_failure.empty()) outcome_.first_failure = stream.firstFailure();
-        const SourceCounters counters = stream.source().counters();
-        outcome_.streamed.bytes_streamed += counters.bytes_streamed;
-        outcome_.streamed.pages_streamed += counters.pages_streamed;
-        outcome_.streamed.blocks_streamed += counters.blocks_streamed;
-        outcome_.streamed.round_trips += counters.round_trips;
-        outcome_.streamed.reconnects += counters.reconnects;
-        outcome_.cache_bytes += stream.cache().peakBytes();
-        const PageCacheCounters cache = stream.counters();
-        outcome_.cache.hits += cache.hits;
-        outcome_.cache.loads += cache.loads;
-        outcome_.cache.evictions += cache.evictions;
-        outcome_.cache.reloads += cache.reloads;
-        outcome_.tree_bytes += stream.treeBytes();
-    }
-    if (maps_) outcome_.light_bytes = maps_->bytes();
-    outcome_.final = all_done && outcome_.not_final.failed == 0;
-    outcome_.method = request_.path ? "path" : "march";
-    outcome_.samples = 0;
-    for (const PixelSum& sum : sums_)
-        outcome_.samples = std::max<std::uint64_t>(outcome_.samples, sum.samples);
-    if (outcome_.seconds_first_image == 0) outcome_.seconds_first_image = secondsSince(begin_);
-    outcome_.seconds_total = secondsSince(begin_);
-}
-
 Result<bool> TracePicture::buildShadowMaps() {
     if (request_.path) return true;  // paths find their own way to the lights
     maps_.emplace(world_);
@@ -403,12 +340,19 @@ Result<bool> TracePicture::buildShadowMaps() {
 Result<RenderOutcome> TracePicture::run() {
     if (Result<void> opened = open(); !opened) return tl::unexpected(opened.error());
     if (Result<void> taken = overview(); !taken) return tl::unexpected(taken.error());
-    Result<bool> ready = prepare();
-    if (ready && *ready) ready = buildShadowMaps();
+    const Result<bool> ready = prepare();
     if (!ready) return tl::unexpected(ready.error());
-    if (*ready)
+    if (*ready) {
+        // Maps that limits left unfinished are better than none.
+        if (const Result<bool> built = buildShadowMaps(); !built) return tl::unexpected(built.error());
         if (Result<void> drawn = draw(); !drawn) return tl::unexpected(drawn.error());
+        if (late()) drawRough();
+    }
     finish();
+    if (outcome_.final && request_.repeats > 0) {
+        const double in_passes = outcome_.seconds_render;
+        if (!repeat()) outcome_.seconds_render = in_passes;
+    }
     return std::move(outcome_);
 }
 

@@ -68,6 +68,7 @@ struct TracedWorld {
     std::vector<TracedMedium> media;
     std::vector<TracedSurface> surfaces;
     std::vector<TracedLight> lights;
+    bool has_environment = false;
     std::vector<TracedChannel> baked;    // by light of the settings; none where it is not
     glm::dvec3 box_low{0}, box_high{0};  // world, of everything
 

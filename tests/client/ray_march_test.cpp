@@ -139,15 +139,15 @@ TEST_F(RayMarchTest, AGlowIsIntegratedThroughItsOwnCells) {
 
 TEST_F(RayMarchTest, AShellThinnerThanAVoxelSurvives) {
     const FormulaField ramp("density", {{0, 0, 0}, {65, 65, 33}},
-                            [](Position, Position, Position z, int) { return double(z); });
+                            [](Position, Position, Position z, int) { return double(z - 20); });
     store({&ramp});
     RenderRequest view = request(kAbove, 16, R"({"media": [{"density_scale": 40, "transfer": {"points": [
-        {"value": 20.40, "color": [1, 0.5, 0], "opacity": 0}, {"value": 20.41, "color": [1, 0.5, 0], "opacity": 1}, {"value": 20.42, "color": [1, 0.5, 0], "opacity": 0}]}}]})");
+        {"value": 0.40, "color": [1, 0.5, 0], "opacity": 0}, {"value": 0.41, "color": [1, 0.5, 0], "opacity": 1}, {"value": 0.42, "color": [1, 0.5, 0], "opacity": 0}]}}]})");
     for (const bool reference : {true, false}) {
         view.quality.reference = reference;
         // Once more, steeply, where the ramp falls to the background.
         auto opacity = [](const WorldRay& ray) {
-            return -std::expm1(-40 * 0.01 * 33 / 32 / std::abs(ray.direction.z));
+            return -std::expm1(-40 * 0.01 * 13 / 12 / std::abs(ray.direction.z));
         };
         const Picture picture = draw(view);
         EXPECT_LE(worst(picture, view, alpha, opacity), 1e-4) << reference;

@@ -13,7 +13,7 @@ namespace brickyard {
 // dataset that is there.
 inline Result<void> storeFields(const std::filesystem::path& folder,
                                 const std::vector<const FieldSource*>& fields, int edge = 8,
-                                 double max_error = 0, std::uint32_t number = 0) {
+                                double max_error = 0, std::uint32_t number = 0) {
     Manifest settings;
     settings.set_format_major(kFormatMajor);
     settings.set_brick_edge(std::uint32_t(edge));

@@ -37,6 +37,8 @@ TEST(DefaultDensity, IsTheOneOfThatNameOrTheOnlyScalar) {
     EXPECT_EQ(defaultDensity(footerWith({{"v", 3}, {"heat", 1}, {"density", 1}})), 2u);
     EXPECT_EQ(defaultDensity(footerWith({{"v", 3}, {"smoke", 1}})), 1u);
     EXPECT_EQ(defaultDensity(footerWith({{"a", 1}, {"b", 1}, {"c", 1}})), std::nullopt);
+    EXPECT_EQ(defaultDensity(footerWith({{"ct", 1}, {"light.0", 1}, {"light.12", 1}})), 0u);
+    EXPECT_EQ(defaultDensity(footerWith({{"light.", 1}, {"light.a", 1}})), std::nullopt);
     EXPECT_EQ(defaultDensity(footerWith({{"v", 3}})), std::nullopt);
     EXPECT_EQ(defaultDensity({}), std::nullopt);
 }

@@ -88,6 +88,19 @@ TEST_F(FramePlan, FrameListsAreRangesWithSteps) {
         EXPECT_FALSE(FrameSet::parse(wrong)) << wrong;
 }
 
+TEST_F(FramePlan, TheFirstFrameThatIsMissingIsFoundWithoutCountingThemAll) {
+    const std::set<std::uint32_t> there{3, 4, 5, 7, 9};
+    const auto missing = [&](const char* text) { return FrameSet::parse(text)->firstMissing(there); };
+    EXPECT_EQ(missing("3-5,7"), std::nullopt);
+    EXPECT_EQ(missing("5-9x2"), std::nullopt);
+    EXPECT_EQ(missing("7,3-999999999"), 6u);
+    EXPECT_EQ(missing("999999999,3-5,1"), 1u);
+    // A step that leads beyond the last number.
+    EXPECT_EQ(missing("9-999999999x999999999"), std::nullopt);
+    EXPECT_FALSE(FrameSet::parse("3x"));
+    EXPECT_FALSE(FrameSet::parse("3-5x0"));
+}
+
 TEST_F(FramePlan, PartsOfASequenceConvertOneByOneIntoOneDataset) {
     const ScratchFolder logs;
     for (int frame = 1; frame <= 5; ++frame)

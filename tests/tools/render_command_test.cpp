@@ -78,6 +78,8 @@ TEST_F(RenderCommandTest, WrongUsageIsOneLineThatNamesTheOption) {
              {{balls(), "-o", out, "--samples", "4", "--spp", "4"}, "--spp"},
              {{balls(), "-o", out, "--samples", "4", "--quality", "path"}, "--spp"},
              {{balls(), "-o", out, "--spp", "0"}, "--spp"},
+             {{balls(), "-o", out, "--bounces", "-1"}, "--bounces"},
+             {{balls(), "-o", out, "--bounces", "65537"}, "--bounces"},
              {{balls(), "-o", out, "--spp", "65537"}, "--spp"},
              {{balls(), "-o", out, "--frame=-1"}, "--frame"},
              {{balls(), "-o", out, "--filter", "box"}, "--filter"},
@@ -147,7 +149,8 @@ TEST_F(RenderCommandTest, ASceneMayNameDatasetAndFrame) {
 
 TEST_F(RenderCommandTest, APictureGoesOverAnother) {
     const std::string camera = R"({"eye":[0,0,60],"target":[0,0,0],"vertical_fov_degrees":40})";
-    renderJson({balls(), "-o", path("front.exr"), "--camera", camera, "--density-scale", "0.1"});
+    renderJson({balls(), "-o", path("front.exr"), "--camera", camera, "--density-scale", "0.1", "--quality",
+                "reference"});
     Picture image(24, 20);
     for (Pixel& p : image.pixels) {
         p.radiance = {0.25f, 0.5f, 0.125f};
@@ -156,14 +159,16 @@ TEST_F(RenderCommandTest, APictureGoesOverAnother) {
     }
     ASSERT_TRUE(writeExr(image, folder_ / "image.exr"));
     const nlohmann::json json =
-        renderJson({balls(), "-o", path("over.exr"), "--camera", camera, "--density-scale", "0.1", "--over",
-                    path("image.exr"), "--over-depth", "ray"});
+        renderJson({balls(), "-o", path("over.exr"), "--camera", camera, "--density-scale", "0.1",
+                    "--quality", "reference", "--over", path("image.exr"), "--over-depth", "ray"});
     EXPECT_EQ(json["mean_alpha"], 1);
     const Picture front = picture("front.exr"), over = picture("over.exr");
     for (std::size_t i = 0; i < over.pixels.size(); ++i) {
         const Pixel &f = front.pixels[i], &o = over.pixels[i];
-        EXPECT_NEAR(double(o.radiance[1]), double(f.radiance[1] + (1 - f.alpha) * 0.5f), 1e-6) << i;
-        EXPECT_EQ(o.depth, f.depth) << i;
+        // Rays that may end early are traced another way.
+        EXPECT_NEAR(double(o.radiance[1]), double(f.radiance[1] + (1 - f.alpha) * 0.5f), 1e-4) << i;
+        if (f.alpha > 0.01f) EXPECT_NEAR(double(o.depth), double(f.depth), 0.05) << i;
+        if (f.alpha == 0) EXPECT_EQ(o.alpha, 1) << i;
     }
 
     ASSERT_TRUE(writeExr(Picture(20, 24), folder_ / "turned.exr"));

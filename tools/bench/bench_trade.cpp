@@ -7,6 +7,7 @@
 #include "tools/bench/benchmark.h"
 #include "tools/bench/text_table.h"
 #include "tools/bench/trade_front.h"
+#include "tools/bench/trade_modes.h"
 #include "tools/bench/trade_run.h"
 
 namespace brickyard {
@@ -21,6 +22,21 @@ public:
         : options_(options), pool_(/*jobs=*/0), settings_(tradeSettings()) {}
 
     Result<nlohmann::json> run() {
+        nlohmann::json json = nlohmann::json::object();
+        // Whoever names modes wants those alone.
+        if (options_.modes.empty()) {
+            Result<nlohmann::json> settings = runSettings();
+            if (!settings) return settings;
+            json = std::move(*settings);
+        }
+        Result<nlohmann::json> modes = tradeModes(options_, pool_);
+        if (!modes) return modes;
+        json["modes"] = std::move(*modes);
+        return json;
+    }
+
+private:
+    Result<nlohmann::json> runSettings() {
         const Result<std::vector<BenchCache>> caches = findCaches(options_.data);
         if (!caches) return tl::unexpected(caches.error());
         for (std::size_t i = 0; i < caches->size(); ++i)
@@ -45,7 +61,6 @@ public:
         return json;
     }
 
-private:
     Result<void> runCache(const BenchCache& cache, const std::filesystem::path& folder) {
         options_.progress("trade: converting " + cache.name);
         std::error_code ignored;

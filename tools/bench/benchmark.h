@@ -10,18 +10,20 @@
 #include <functional>
 #include <nlohmann/json.hpp>
 #include <string>
+#include <vector>
 
 #include "core/result.h"
 
 namespace brickyard {
 
 struct BenchOptions {
-    std::filesystem::path data;     // caches to measure with; exists
-    std::filesystem::path output;   // where files such as trade.csv go; exists
-    std::filesystem::path scratch;  // empty; datasets go here. Its owner removes it afterwards
-    std::uint32_t size = 512;       // pictures are size x size pixels, a raw dump has size^3 voxels
-    unsigned repeats = 5;           // of each timed run, interleaved with its peers; at least 1
-    int brick_edge = 16;            // cells along each edge of the bricks that a codec is given
+    std::filesystem::path data;      // caches to measure with; exists
+    std::filesystem::path output;    // where files such as trade.csv go; exists
+    std::filesystem::path scratch;   // empty; datasets go here. Its owner removes it afterwards
+    std::uint32_t size = 512;        // pictures are size x size pixels, a raw dump has size^3 voxels
+    unsigned repeats = 5;            // of each timed run, interleaved with its peers; at least 1
+    int brick_edge = 16;             // cells along each edge of the bricks that a codec is given
+    std::vector<std::string> modes;  // of trade: these groups of options alone; all where it is empty
     // Of a server's clients: how many stream, for how long, and how many connections do nothing.
     std::size_t viewers = 1000, idle = 10'000;
     double seconds = 60;
@@ -42,6 +44,7 @@ Result<nlohmann::json> benchTrade(const BenchOptions& options);
 Result<nlohmann::json> benchPay(const BenchOptions& options);
 Result<nlohmann::json> benchStream(const BenchOptions& options);
 Result<nlohmann::json> benchFly(const BenchOptions& options);
+Result<nlohmann::json> benchZoom(const BenchOptions& options);
 Result<nlohmann::json> benchConvert(const BenchOptions& options);
 Result<nlohmann::json> benchCodec(const BenchOptions& options);
 // These have a server.

@@ -14,6 +14,7 @@
 #include "core/io_error.h"
 #include "core/printable_name.h"
 #include "tools/bench/benchmark.h"
+#include "tools/bench/mode_groups.h"
 #include "tools/bench/scratch_folder.h"
 #include "tools/command.h"
 
@@ -33,6 +34,7 @@ constexpr Benchmark kBenchmarks[] = {
     {"pay", "what each feature of a scene costs", benchPay},
     {"stream", "picture by bytes for our order of pages, others and an oracle", benchStream},
     {"fly", "hits, bytes and memory of a flight through a medium at a constant cache", benchFly},
+    {"zoom", "what flickers in a slow zoom, of the picture's levels, samples and noise", benchZoom},
     {"convert", "seconds and bytes of the converter, beside nanovdb_convert and zstd", benchConvert},
     {"codec", "bytes and speed of the brick codec, beside zfp, Blosc and zstd at equal error", benchCodec},
 #ifdef BRICKYARD_WITH_SERVER
@@ -167,6 +169,13 @@ void addBenchCommand(CLI::App& app, int& status) {
         ->check(CLI::Range(1u, 1000u))
         ->type_name("N")
         ->capture_default_str();
+    const std::vector<std::string> modes(std::begin(kModeGroups), std::end(kModeGroups));
+    command
+        ->add_option("--modes", arguments->passed.modes,
+                     fmt::format("Of trade: these options alone: {}", fmt::join(modes, ", ")))
+        ->delimiter(',')
+        ->check(CLI::IsMember(modes))
+        ->type_name("NAME,NAME");
     command->add_option("--brick", arguments->brick, "Of codec: cells per brick edge: 8, 16 or 32")
         ->check(CLI::IsMember({8, 16, 32}))
         ->type_name("N")
