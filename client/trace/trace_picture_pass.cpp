@@ -123,7 +123,19 @@ Result<bool> TracePicture::prepare() {
         pass(world_.media.size(), [&](std::size_t m, Worker& worker) {
             if (!made[m]) made[m] = makeMajorants(world_.media[m], coarsest[m], worker.contexts);
         });
-        if (std::all_of(made.begin(), made.end(), [](std::uint8_t done) { return done != 0; })) return true;
+        if (std::all_of(made.begin(), made.end(), [](std::uint8_t done) { return done != 0; })) {
+            // What moves may leave the box that it has in its frame; shadows are looked for there, too.
+            for (const TracedMedium& medium : world_.media)
+                for (int corner = 0; corner < 8; ++corner) {
+                    const glm::dvec3 &low = medium.box_low, &high = medium.box_high;
+                    const glm::dvec3 at =
+                        medium.transform().point({corner & 1 ? high.x : low.x, corner & 2 ? high.y : low.y,
+                                                  corner & 4 ? high.z : low.z});
+                    world_.box_low = glm::min(world_.box_low, at);
+                    world_.box_high = glm::max(world_.box_high, at);
+                }
+            return true;
+        }
         const Result<bool> more = stream();
         if (!more) return tl::unexpected(more.error());
         if (!*more) return false;
