@@ -20,7 +20,11 @@ public:
         bits();
     }
     // Uniform in [0, 1).
-    double uniform() { return double(bits()) * 0x1p-32 + double(bits() >> 11) * 0x1p-53; }
+    double uniform() {
+        // One after the other: the order within an expression is the compiler's.
+        const double high = double(bits()) * 0x1p-32;
+        return high + double(bits() >> 11) * 0x1p-53;
+    }
 
 private:
     std::uint32_t bits() {

@@ -16,7 +16,7 @@ constexpr double kLeastEdge = 64, kMostEdge = 512, kMostPartEdge = 64;
 // Of the error that a picture may have, what the compression of a map may make.
 constexpr double kErrorShare = 0.2;
 constexpr double kLeastError = 1e-4;
-constexpr std::uint32_t kBlockPixels = 256;
+constexpr std::uint32_t kBlockPixels = 64;
 
 }  // namespace
 
@@ -51,7 +51,8 @@ ShadowMaps::ShadowMaps(const TracedWorld& world) : world_(world), maps_(world.li
                 : LightProjection::directional(is.to_light, box, pixels);
         maps_[l] = std::make_unique<DeepShadowMap>(projection, error);
         for (std::uint32_t begin = 0; begin < projection.pixelCount(); begin += kBlockPixels)
-            // Detail below a pixel of the map is filtered, as it is for the camera.
+            // Detail below a pixel of the map is filtered, as it is for the camera; what that spreads into
+            // cells that are empty on the levels that are seen is left out.
             blocks_.push_back(
                 {l, begin, std::min(begin + kBlockPixels, projection.pixelCount()),
                  world.quality.reference ? lod : lod + std::max(0.0, std::log2(longest / voxel / edge))});

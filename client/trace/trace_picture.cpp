@@ -87,6 +87,8 @@ Result<void> TracePicture::openFrames() {
         if (!after) return tl::unexpected(after.error());
         next_settings_ = std::move(*after);
     }
+    for (WorldLight& light : world_.settings.lights)
+        if (light.shadows == ShadowMethod::kAuto && request_.shadows) light.shadows = *request_.shadows;
     for (WorldSettings* bound : {&world_.settings, &next_settings_})
         for (MediumSettings& medium : bound->media) {
             if (request_.filter) medium.filter = *request_.filter;

@@ -124,7 +124,19 @@ Result<bool> TracePicture::prepare() {
         pass(world_.media.size(), [&](std::size_t m, Worker& worker) {
             if (!made[m]) made[m] = makeMajorants(world_.media[m], coarsest[m], worker.contexts);
         });
-        if (std::all_of(made.begin(), made.end(), [](std::uint8_t done) { return done != 0; })) return true;
+        if (std::all_of(made.begin(), made.end(), [](std::uint8_t done) { return done != 0; })) {
+            // What moves may leave the box that it has in its frame; shadows are looked for there, too.
+            for (const TracedMedium& medium : world_.media)
+                for (int corner = 0; corner < 8; ++corner) {
+                    const glm::dvec3 &low = medium.box_low, &high = medium.box_high;
+                    const glm::dvec3 at =
+                        medium.transform().point({corner & 1 ? high.x : low.x, corner & 2 ? high.y : low.y,
+                                                  corner & 4 ? high.z : low.z});
+                    world_.box_low = glm::min(world_.box_low, at);
+                    world_.box_high = glm::max(world_.box_high, at);
+                }
+            return true;
+        }
         const Result<bool> more = stream();
         if (!more) return tl::unexpected(more.error());
         if (!*more) return false;
@@ -315,9 +327,10 @@ Result<bool> TracePicture::buildShadowMaps() {
     int idle = 0;
     while (!open_blocks.empty()) {
         if (late()) return false;
-        pass(open_blocks.size(), [&](std::size_t i, Worker& worker) {
+        const bool alone = idle >= kIdlePassesTogether;
+        pass(alone ? 1 : open_blocks.size(), [&](std::size_t i, Worker& worker) {
             for (const RayContext& context : worker.contexts)
-                if (context.full()) return;
+                if (!alone && context.full()) return;
             Readers readers(world_, worker.contexts);
             maps_->fill(open_blocks[i], readers.view, readers.hits());
             filled[open_blocks[i]] = !readers.takeMissed();
@@ -325,7 +338,8 @@ Result<bool> TracePicture::buildShadowMaps() {
         const std::size_t before = open_blocks.size();
         std::erase_if(open_blocks, [&](std::uint32_t block) { return filled[block] != 0; });
         if (open_blocks.empty()) break;
-        idle = open_blocks.size() == before ? idle + 1 : 0;
+        // Once the cache has proved too small for several blocks at a time, it stays so.
+        idle = open_blocks.size() == before ? idle + 1 : std::min(idle, kIdlePassesTogether);
         if (idle > kMostIdlePasses) return fail(ErrorCode::kInvalid, kSmallCache);
         const Result<bool> more = stream();
         if (!more) return tl::unexpected(more.error());

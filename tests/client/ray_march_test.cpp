@@ -139,15 +139,15 @@ TEST_F(RayMarchTest, AGlowIsIntegratedThroughItsOwnCells) {
 
 TEST_F(RayMarchTest, AShellThinnerThanAVoxelSurvives) {
     const FormulaField ramp("density", {{0, 0, 0}, {65, 65, 33}},
-                            [](Position, Position, Position z, int) { return double(z); });
+                            [](Position, Position, Position z, int) { return double(z - 20); });
     store({&ramp});
     RenderRequest view = request(kAbove, 16, R"({"media": [{"density_scale": 40, "transfer": {"points": [
-        {"value": 20.40, "color": [1, 0.5, 0], "opacity": 0}, {"value": 20.41, "color": [1, 0.5, 0], "opacity": 1}, {"value": 20.42, "color": [1, 0.5, 0], "opacity": 0}]}}]})");
+        {"value": 0.40, "color": [1, 0.5, 0], "opacity": 0}, {"value": 0.41, "color": [1, 0.5, 0], "opacity": 1}, {"value": 0.42, "color": [1, 0.5, 0], "opacity": 0}]}}]})");
     for (const bool reference : {true, false}) {
         view.quality.reference = reference;
         // Once more, steeply, where the ramp falls to the background.
         auto opacity = [](const WorldRay& ray) {
-            return -std::expm1(-40 * 0.01 * 33 / 32 / std::abs(ray.direction.z));
+            return -std::expm1(-40 * 0.01 * 13 / 12 / std::abs(ray.direction.z));
         };
         const Picture picture = draw(view);
         EXPECT_LE(worst(picture, view, alpha, opacity), 1e-4) << reference;
@@ -333,8 +333,10 @@ class MotionTest : public RayMarchTest {
 protected:
     // A ball that moves into what is empty in its own frame.
     static constexpr double kSpeed = 21;
-    void storeMoving(std::uint32_t frame, double at) {
-        const IndexBox box{{-16, -16, -16}, {64, 17, 17}};
+    // `tight`: in a box that moves with it.
+    void storeMoving(std::uint32_t frame, double at, bool tight = false) {
+        const Position low = tight ? Position(at) - 11 : -16, high = tight ? Position(at) + 12 : 64;
+        const IndexBox box{{low, -16, -16}, {high, 17, 17}};
         const FormulaField density("density", box, [=](Position x, Position y, Position z, int) {
             const glm::dvec3 p(double(x) - at, double(y), double(z));
             return std::clamp(9 - glm::length(p), 0.0, 2.0) *
@@ -414,6 +416,29 @@ TEST_F(MotionTest, HalfwayBetweenTwoFramesTheBallIsHalfway) {
             ASSERT_NEAR(double(blended->picture.pixels[i].alpha), -std::expm1(-depth), 2e-3) << i;
         }
     }
+}
+
+// It is lit there, too, and shades itself.
+TEST_F(MotionTest, WhatLeavesTheBoxOfItsFrameKeepsItsShadows) {
+    storeMoving(0, 0, /*tight=*/true);
+    storeMoving(1, kSpeed, /*tight=*/true);
+    auto picture = [&](const std::string& shadows) {
+        auto source = openSource(folder().string(), ""), after = openSource(folder().string(), "");
+        RenderRequest asked =
+            view(0,
+                 R"(, "lights": [{"direction": [-1, -0.3, 0], "irradiance": [9, 9, 9], "shadows": ")" +
+                     shadows + "\"}]",
+                 0.2);
+        asked.quality.reference = false;
+        asked.between = 0.8;
+        asked.next = {{"", after->get(), 1, nullptr}};
+        const auto outcome = makeCpuRenderer()->render(**source, asked);
+        EXPECT_TRUE(outcome && outcome->final);
+        return outcome->picture;
+    };
+    const Picture exact = picture("exact");
+    EXPECT_GT(worstDifference(picture("none"), exact), 0.2);
+    EXPECT_LE(worstDifference(picture("deep"), exact), 0.03);
 }
 
 TEST_F(RayMarchTest, APlaneIsHitWhereItIsAndSmokeInFrontDoesNotMoveIt) {
