@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <optional>
 #include <utility>
 
@@ -43,6 +44,8 @@ void ChannelReader::takeNode(const NodeRef& ref, const NodeKey& key, Entry& out)
     out.per_cell = 1 / out.edge;
     out.samples = nullptr;
     out.square = effectiveSquare(double(record.rms), double(record.bound)) * out.edge;
+    out.grid = block.errorGrid(ref.node);
+    out.bound = double(record.bound);
     if (record.hasBrick()) return;
     const std::span<const ValueBits> value = block.constant(ref.node);
     const SampleType type = levelType(channel_->type(), key.level);
@@ -55,6 +58,7 @@ void ChannelReader::find(const NodeKey& key, const glm::dvec3& position, Entry& 
     out.missing = false;
     out.samples = nullptr;
     out.square = 0;
+    out.grid = nullptr;
     out.low = nodeLow(key, channel_->shape());
     out.edge = cellEdge(key.level);
     out.per_cell = 1 / out.edge;
@@ -286,11 +290,40 @@ double ChannelReader::cellEdgeAt(const glm::dvec3& position, double lod) {
     return entry.edge;
 }
 
+double ChannelReader::squareIn(const Entry& entry, const glm::dvec3& position) const {
+    if (!entry.grid) return entry.square;
+    const double boxes = entry.per_cell * kErrorGridEdge / edge_cells_;
+    auto box = [&](int axis) {
+        return std::size_t(
+            std::clamp(int((position[axis] - entry.low[axis]) * boxes), 0, kErrorGridEdge - 1));
+    };
+    const std::size_t at = box(0) + kErrorGridEdge * (box(1) + kErrorGridEdge * box(2));
+    return effectiveSquareOfCodes(entry.grid->rms[at], entry.grid->bound[at]) * entry.bound * entry.bound *
+           entry.edge;
+}
+
+double ChannelReader::spreadAt(const glm::dvec3& position, double lod) {
+    const Entry& entry = entryAt(clampLevel(lod), position);
+    if (!entry.samples) return 0;
+    const BrickShape shape = channel_->shape();
+    int cell[3];
+    for (int a = 0; a < 3; ++a)
+        cell[a] = std::clamp(int((position[a] - entry.low[a]) * entry.per_cell), 0, shape.edge_cells - 1);
+    float least = std::numeric_limits<float>::infinity(), greatest = -least;
+    for (int corner = 0; corner < 8; ++corner) {
+        const float value = entry.samples[shape.sampleAt(cell[0] + (corner & 1), cell[1] + (corner >> 1 & 1),
+                                                         cell[2] + (corner >> 2))];
+        least = std::min(least, value);
+        greatest = std::max(greatest, value);
+    }
+    return double(greatest) - double(least);
+}
+
 double ChannelReader::squareAt(const glm::dvec3& position, double lod) {
     const int level = clampLevel(lod);
-    const double fine = entryAt(level, position).square;
+    const double fine = squareIn(entryAt(level, position), position);
     const double share = level < top_level_ ? std::min(lod - level, 1.0) : 0;
-    return share > 0 ? fine + share * (entryAt(level + 1, position).square - fine) : fine;
+    return share > 0 ? fine + share * (squareIn(entryAt(level + 1, position), position) - fine) : fine;
 }
 
 }  // namespace brickyard

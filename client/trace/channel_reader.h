@@ -47,6 +47,9 @@ public:
     double cellEdgeAt(const glm::dvec3& position, double lod);
     // Variance per index unit of a ray that value() may be off by there.
     double squareAt(const glm::dvec3& position, double lod);
+    // Greatest less least of the eight samples about the position: interpolation between them is off by a
+    // part of it.
+    double spreadAt(const glm::dvec3& position, double lod);
 
     // Something that was read since the last call was not resident: results were stand-ins.
     bool takeMissed() {
@@ -63,11 +66,14 @@ private:
         double per_cell = 1;             // cells per index unit
         const float* samples = nullptr;  // nullptr: constant
         float constant[3] = {};
-        double edge = 1;    // of its cells, index units
-        double square = 0;  // variance per index unit
+        double edge = 1;                  // of its cells, index units
+        double square = 0;                // variance per index unit, where there is no grid
+        const ErrorGrid* grid = nullptr;  // of sub-boxes, relative to `bound`
+        double bound = 0;
         bool missing = false;
     };
     const Entry& entryAt(int level, const glm::dvec3& position);
+    double squareIn(const Entry& entry, const glm::dvec3& position) const;
     void find(const NodeKey& key, const glm::dvec3& position, Entry& out);
     void takeNode(const NodeRef& ref, const NodeKey& key, Entry& out) const;
     double onLevel(int level, const glm::dvec3& position, int component);

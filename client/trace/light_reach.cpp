@@ -8,6 +8,8 @@ namespace {
 
 // Transmittances below exp(-24) count as none.
 constexpr double kDark = 24;
+// What interpolation between baked voxels is off by, as a part of their spread: one standard deviation.
+constexpr double kBakedSpread = 0.1;
 
 }  // namespace
 
@@ -48,8 +50,9 @@ Reach LightReach::of(std::size_t index, const LightArrival& arrival, const glm::
                 ChannelReader& channel = *reader_.baked[light.baked];
                 const PagedChannel& baked = channel.channel();
                 const glm::dvec3 at = baked.transform().inversePoint(point);
+                const double stored = std::sqrt(channel.squareAt(at, lod) / channel.cellEdgeAt(at, lod));
                 return {std::clamp(channel.value(at, lod), 0.0, 1.0),
-                        std::sqrt(channel.squareAt(at, lod) / channel.cellEdgeAt(at, lod))};
+                        std::hypot(stored, kBakedSpread * channel.spreadAt(at, lod))};
             }
             break;
         case ShadowMethod::kDeepMap:

@@ -308,6 +308,8 @@ RaySample PathWalk::sample(const WorldRay& ray, double end, double time, PathRan
     }
     scatterFrom(walk);
     out.radiance += walk.radiance;
+    const double level = world.level_deviation * greatest(walk.radiance);
+    out.radiance_variance += level * level;
     return out;
 }
 

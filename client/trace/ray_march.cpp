@@ -15,6 +15,11 @@ constexpr double kHeadlightAmbient = 0.25;
 
 // Cells along a ray over which the light of an environment is taken for the same.
 constexpr double kMemoCells = 2;
+// What a surface of a coarse level may look different by, as a part of what it shows.
+constexpr double kCoarseSurface = 0.3;
+// Distant lights of one power stand for an environment: their mean is off by this part of what a random
+// choice of as many would be.
+constexpr double kEvenDirections = 0.3;
 
 double greatest(const glm::dvec3& v) { return std::max({v.x, v.y, v.z}); }
 double square(double x) { return x * x; }
@@ -50,6 +55,7 @@ glm::dvec3 RayMarch::scattered(std::size_t m, bool of_environment, const glm::dv
                                const glm::dvec3& direction, double lod, double time, double& variance) {
     const MediumSettings& settings = *reader_.world.media[m].settings;
     glm::dvec3 sum(0);
+    double squares = 0, total = 0, count = 0;
     for (std::size_t l = 0; l < reader_.world.lights.size(); ++l) {
         const TracedLight& light = reader_.world.lights[l];
         if (light.of_environment != of_environment) continue;
@@ -58,9 +64,15 @@ glm::dvec3 RayMarch::scattered(std::size_t m, bool of_environment, const glm::dv
         const Reach reach = lights_.of(l, arrival, point, lod, time);
         // Light goes -to_light before, and -direction (to the eye) after.
         const double phase = settings.phase(glm::dot(arrival.to_light, direction));
-        sum += reach.transmittance * phase * arrival.irradiance;
+        const glm::dvec3 part = reach.transmittance * phase * arrival.irradiance;
+        sum += part;
+        squares += square(greatest(part));
+        total += greatest(part);
+        ++count;
         variance += square(reach.deviation * phase * greatest(arrival.irradiance));
     }
+    if (of_environment && count > 0)
+        variance += square(kEvenDirections) * std::max(0.0, squares - total * total / count);
     return sum;
 }
 
@@ -285,8 +297,11 @@ RaySample RayMarch::march(const WorldRay& world_ray, double end, double time, st
             } else {
                 const glm::dvec3 point = world_ray.origin + hit.hit.t * world_ray.direction;
                 const glm::dvec3 normal = surfaces_->normal(hit, world_ray.direction);
-                ray.out.radiance += ray.transmittance * surface.opacity *
-                                    shade(hit, point, world_ray.direction, normal, time, seed);
+                const glm::dvec3 shown = ray.transmittance * surface.opacity *
+                                         shade(hit, point, world_ray.direction, normal, time, seed);
+                ray.out.radiance += shown;
+                if (world.surfaces[hit.surface].level > 0)
+                    ray.out.radiance_variance += square(kCoarseSurface * greatest(shown));
             }
             const double before = 1 - ray.transmittance;
             ray.transmittance *= 1 - surface.opacity;
@@ -295,10 +310,13 @@ RaySample RayMarch::march(const WorldRay& world_ray, double end, double time, st
         }
     }
     if (ray.transmittance > ray.opaque) media(ray, {from, end});
-    if (!(ray.transmittance > ray.opaque)) ray.transmittance = 0;
+    // What is behind is not looked at.
+    const double cut = ray.transmittance > ray.opaque ? 0 : ray.transmittance;
+    ray.transmittance -= cut;
 
     ray.out.alpha = 1 - ray.transmittance;
-    ray.out.alpha_variance = ray.transmittance * ray.transmittance * ray.depth_variance;
+    ray.out.alpha_variance = ray.transmittance * ray.transmittance * ray.depth_variance + square(cut);
+    ray.out.radiance_variance += square(cut * std::max(1.0, greatest(ray.out.radiance)));
     ray.out.radiance_variance += square(greatest(ray.out.radiance)) * ray.depth_variance * ray.transmittance;
     for (const Mark& mark : marks_)
         if (2 * mark.alpha >= ray.out.alpha && mark.alpha > 0) {

@@ -10,23 +10,26 @@ SurfaceHits::SurfaceHits(const TracedWorld& world, std::span<const RayContext> c
         tracers_.emplace_back(*surface.channel.channel, *surface.settings, surface.level);
 }
 
+// Of one surface: all crossings of a clear one, the first of one that is opaque.
+const std::vector<SurfaceHit>& SurfaceHits::crossings(std::size_t s, const WorldRay& ray, RaySpan span,
+                                                      bool leaves) {
+    const TracedSurface& surface = world_.surfaces[s];
+    const IndexRay index(ray, tracers_[s].channel().transform());
+    if (leaves) span.begin = std::max(span.begin, 2 * tracers_[s].hair(index));
+    found_.clear();
+    if (span.empty()) return found_;
+    const std::size_t most = surface.settings->opacity >= 1 ? 1 : kMostCrossings;
+    missed_ |= tracers_[s].crossings(index, span, contexts_[surface.channel.frame], most, found_) ==
+               SurfaceTracer::Found::kMissing;
+    return found_;
+}
+
 const std::vector<PlacedHit>& SurfaceHits::along(const WorldRay& ray, RaySpan span, bool leaves) {
     hits_.clear();
     span = world_.clipped(ray, span);
     if (span.empty()) return hits_;
-    for (std::size_t s = 0; s < tracers_.size(); ++s) {
-        const SurfaceSettings& settings = *world_.surfaces[s].settings;
-        const RayContext& context = contexts_[world_.surfaces[s].channel.frame];
-        const IndexRay index(ray, tracers_[s].channel().transform());
-        RaySpan rest = span;
-        if (leaves) rest.begin = std::max(rest.begin, 2 * tracers_[s].hair(index));
-        if (rest.empty()) continue;
-        found_.clear();
-        const std::size_t most = settings.opacity >= 1 ? 1 : kMostCrossings;
-        missed_ |=
-            tracers_[s].crossings(index, rest, context, most, found_) == SurfaceTracer::Found::kMissing;
-        for (const SurfaceHit& hit : found_) hits_.push_back({s, hit});
-    }
+    for (std::size_t s = 0; s < tracers_.size(); ++s)
+        for (const SurfaceHit& hit : crossings(s, ray, span, leaves)) hits_.push_back({s, hit});
     std::sort(hits_.begin(), hits_.end(), [](const PlacedHit& a, const PlacedHit& b) {
         return a.hit.t != b.hit.t ? a.hit.t < b.hit.t : a.surface < b.surface;
     });
@@ -41,19 +44,9 @@ const std::vector<PlacedHit>& SurfaceHits::along(const WorldRay& ray, RaySpan sp
 double SurfaceHits::openness(const WorldRay& ray, RaySpan span, bool leaves) {
     double open = 1;
     span = world_.clipped(ray, span);
-    for (std::size_t s = 0; s < tracers_.size() && open > 0; ++s) {
-        const SurfaceSettings& settings = *world_.surfaces[s].settings;
-        const RayContext& context = contexts_[world_.surfaces[s].channel.frame];
-        const IndexRay index(ray, tracers_[s].channel().transform());
-        RaySpan rest = span;
-        if (leaves) rest.begin = std::max(rest.begin, 2 * tracers_[s].hair(index));
-        if (rest.empty()) continue;
-        found_.clear();
-        const std::size_t most = settings.opacity >= 1 ? 1 : kMostCrossings;
-        missed_ |=
-            tracers_[s].crossings(index, rest, context, most, found_) == SurfaceTracer::Found::kMissing;
-        for (std::size_t i = 0; i < found_.size(); ++i) open *= 1 - settings.opacity;
-    }
+    for (std::size_t s = 0; s < tracers_.size() && open > 0; ++s)
+        for (std::size_t n = crossings(s, ray, span, leaves).size(); n > 0; --n)
+            open *= 1 - world_.surfaces[s].settings->opacity;
     return open;
 }
 

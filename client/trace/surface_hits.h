@@ -37,6 +37,8 @@ public:
     }
 
 private:
+    const std::vector<SurfaceHit>& crossings(std::size_t surface, const WorldRay& ray, RaySpan span,
+                                             bool leaves);
     static constexpr std::size_t kMostCrossings = 64;
     const TracedWorld& world_;
     std::span<const RayContext> contexts_;

@@ -248,10 +248,13 @@ void TracePicture::setAccuracy() {
     for (TracedMedium& medium : world_.media) {
         medium.density_accuracy.coarse_first = medium.other_accuracy.coarse_first = limited;
         if (quality.reference) continue;
+        // A path is unbiased on the finest level; coarser ones are for who asks for an error.
+        if (request_.path && quality.pixels_per_voxel > 0) continue;
         medium.pixels_per_voxel = quality.pixels_per_voxel;
         // A transfer function may make much of a small difference.
         if (medium.settings->transfer) continue;
         const double deviation = kLevelShare * quality.max_error / 3;
+        world_.level_deviation = deviation;
         const double scale = std::max(medium.settings->density_scale, 1e-300);
         medium.density_accuracy.square_budget =
             deviation * deviation /

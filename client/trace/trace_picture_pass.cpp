@@ -6,6 +6,7 @@
 #include <numeric>
 #include <thread>
 
+#include "client/trace/sample_place.h"
 #include "client/trace/trace_picture.h"
 
 namespace brickyard {
@@ -149,16 +150,11 @@ RaySample TracePicture::traceSample(std::uint32_t x, std::uint32_t y, std::uint3
             py = random.uniform();
             moment = random.uniform();
         } else {
-            // Points of a lattice without clumps, moved from pixel to pixel. Roberts. The Unreasonable
-            // Effectiveness of Quasirandom Sequences. 2018 (R3).
-            PathRandom shift(request_.seed, pixel, 0);
-            auto turned = [&](double step) {
-                const double v = shift.uniform() + step * double(sample);
-                return v - std::floor(v);
-            };
-            px = turned(0.8191725133961645);
-            py = turned(0.6710436067037893);
-            moment = turned(0.5497004779019703);
+            const SamplePlace place =
+                samplePlace(sample, most_samples_, mixBits(request_.seed ^ mixBits(pixel)));
+            px = place.x;
+            py = place.y;
+            moment = place.time;
         }
     }
     const WorldRay ray = camera_->rayThrough(double(x) + px, double(y) + py);
@@ -265,9 +261,11 @@ void TracePicture::writePixel(std::uint32_t at) {
     // Standard error of a mean. Of one sample of many it is not known, nor that of a path; but what a ray
     // meets through a pixel's centre is what is to be drawn.
     auto deviation = [&](double total, double squares, bool random) {
+        // So that three of them hold what three of a normal distribution do: Student's, about.
+        const double few = 1 + 3.6 / (count - 1) + 8 / ((count - 1) * (count - 1) * (count - 1));
         if (sum.samples < 2) return random || most_samples_ > 1 ? 1.0 : 0.0;
         const double variance = std::max(0.0, squares - total * total / count) / (count - 1);
-        return std::sqrt(variance / count);
+        return few * std::sqrt(variance / count);
     };
     for (int c = 0; c < 3; ++c) pixel.radiance[std::size_t(c)] = float(sum.radiance[c] / count);
     pixel.alpha = float(sum.alpha / count);

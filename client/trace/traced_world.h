@@ -69,6 +69,7 @@ struct TracedWorld {
     std::vector<TracedSurface> surfaces;
     std::vector<TracedLight> lights;
     bool has_environment = false;
+    double level_deviation = 0;          // of the optical depth through all, that levels were chosen for
     std::vector<TracedChannel> baked;    // by light of the settings; none where it is not
     glm::dvec3 box_low{0}, box_high{0};  // world, of everything
 
