@@ -13,6 +13,7 @@
 #include <fstream>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <set>
 #include <sstream>
 
 #include "tools/bench/plot.h"
@@ -25,6 +26,7 @@ using namespace nlohmann::literals;
 
 using testing::HasSubstr;
 using testing::StartsWith;
+using testing::UnorderedElementsAre;
 
 std::string readFile(const std::filesystem::path& path) {
     std::ostringstream text;
@@ -108,6 +110,32 @@ TEST_F(BenchTest, TradeWritesItsFilesAndNoBoundBreaks) {
     EXPECT_THAT(readFile(folder_ / "trade.csv"), StartsWith("cache,view,setting,"));
     EXPECT_THAT(readFile(folder_ / "trade.svg"), HasSubstr("</svg>"));
     EXPECT_THAT(readFile(folder_ / "trade.png"), StartsWith("\x89PNG"));
+}
+
+TEST_F(BenchTest, EveryModeOfAPictureHasItsCostAndItsError) {
+    const nlohmann::json trade = figures("trade --modes presets,shadows,kernels,surface,path");
+    EXPECT_FALSE(trade.contains("calibration"));  // those alone
+    std::set<std::string> seen;
+    for (const auto& group : trade["modes"]["groups"]) {
+        seen.insert(group["group"]);
+        for (const auto& row : group["rows"]) {
+            EXPECT_TRUE(row["final"]) << row;
+            EXPECT_GT(row["seconds_over_baseline"], 0) << row;
+            if (row["mode"] == "reference" && group["of"] == "alpha") EXPECT_LT(row["worst"], 1e-6) << row;
+        }
+    }
+    EXPECT_THAT(seen, UnorderedElementsAre("presets", "shadows", "kernels", "surface", "path"));
+    EXPECT_TRUE(trade["modes"]["estimates_that_fail"].is_array());
+}
+
+TEST_F(BenchTest, AZoomFlickersLessThanItsPictureChanges) {
+    const nlohmann::json zoom = figures("zoom");
+    ASSERT_GT(zoom["zooms"].size(), 0u);
+    for (const auto& one : zoom["zooms"]) {
+        EXPECT_GT(one["own_change"], 0) << one;
+        if (one["mode"] == "final, fast, samples 4") EXPECT_LT(one["flicker_over_own_change"], 1) << one;
+    }
+    EXPECT_THAT(readFile(folder_ / "zoom.csv"), StartsWith("cache,lit,mode,frame,"));
 }
 
 TEST_F(BenchTest, PayShowsThatUnreadChannelsCostNoPage) {

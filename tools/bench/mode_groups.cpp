@@ -16,7 +16,11 @@ namespace {
 constexpr std::uint32_t kQuickEdge = 128, kSlowEdge = 64, kPathEdge = 40;
 // Paths and rays a pixel of a picture that stands for the truth of those with few. Its own noise is taken
 // into account.
-constexpr std::uint32_t kTruePaths = 768, kTrueRays = 128;
+constexpr std::uint32_t kTruePaths = 768, kTrueRays = 128, kQuickTruth = 16;
+// Smaller pictures are a quick look, whose truth has kQuickTruth.
+constexpr std::uint32_t kQuickLook = 32;
+// Of an environment.
+constexpr std::uint32_t kTrueDirections = 96;
 // Along each edge of a pixel, where the rays of the truth lie on a grid.
 constexpr std::uint32_t kTrueGrid = 8;
 // Another sequence of random numbers than that of the pictures that are held to it.
@@ -59,7 +63,9 @@ void addEnvironment(Scene& scene, std::uint32_t samples) {
 class GroupMaker {
 public:
     GroupMaker(const ModeSubject& subject, std::uint32_t most_edge)
-        : subject_(subject), most_edge_(most_edge) {}
+        : subject_(subject), most_edge_(most_edge) {
+        if (most_edge < kQuickLook) true_paths_ = true_rays_ = kQuickTruth;
+    }
 
     std::optional<ModeGroup> make(const std::string& name) {
         edge_ = std::min(most_edge_, kQuickEdge);
@@ -166,7 +172,12 @@ private:
             request.quality = reference();
             group.truths.push_back({request});
             if (truth > 0)
-                group.rows.push_back({fmt::format("{}, reference, against trilinear", name), {}, 0, truth});
+                group.rows.push_back({fmt::format("{}, reference, against trilinear", name),
+                                      {},
+                                      0,
+                                      truth,
+                                      1,
+                                      /*silent=*/true});
         }
         return group;
     }
@@ -181,17 +192,32 @@ private:
         RenderRequest truth = fast(base(reference()));
         truth.width = truth.height = edge_ * kTrueGrid;
         group.truths.push_back({truth, kTrueGrid});
-        for (const bool whole : {false, true})
+        for (const bool whole : {false, true}) {
+            const QualitySettings quality = whole ? reference() : *qualityPreset("final");
+            const char* const suffix = whole ? ", reference" : "";
             for (const std::uint32_t samples : {1u, 4u, 16u}) {
-                RenderRequest request = base(whole ? reference() : *qualityPreset("final"));
-                request.samples = samples;
-                group.rows.push_back({fmt::format("spp {}{}", samples, whole ? ", reference" : ""), request});
+                ModeRow row{fmt::format("spp {}{}", samples, suffix), base(quality)};
+                row.request.samples = samples;
+                row.silent = samples == 1;
+                group.rows.push_back(row);
             }
+            // `--samples 4`: a regular grid.
+            for (const bool quick : {false, true}) {
+                QualitySettings doubled = quality;
+                doubled.pixels_per_voxel *= 2;
+                ModeRow row{fmt::format("samples 4{}{}", suffix, quick ? ", the fast way" : ""),
+                            quick ? fast(base(doubled)) : base(doubled)};
+                row.request.width = row.request.height = 2 * edge_;
+                row.grid_edge = 2;
+                row.silent = true;
+                group.rows.push_back(row);
+            }
+        }
         return group;
     }
 
     ModeGroup path() const {
-        ModeGroup group{"path", fmt::format("{} other paths, finest level", kTruePaths), "spp 16", false, {},
+        ModeGroup group{"path", fmt::format("{} other paths, finest level", true_paths_), "spp 16", false, {},
                         {}};
         const auto made = [&](std::uint32_t samples, const QualitySettings& quality) {
             RenderRequest request = lit(quality);
@@ -200,7 +226,7 @@ private:
             request.samples = samples;
             return request;
         };
-        group.truths.push_back(noisy(made(0, reference()), kTruePaths));
+        group.truths.push_back(noisy(made(0, reference()), true_paths_));
         // Levels of detail have an error of their own, which more paths do not remove.
         for (const bool whole : {false, true})
             for (const std::uint32_t samples : {4u, 16u, 64u})
@@ -227,23 +253,20 @@ private:
 
     ModeGroup environment() const {
         ModeGroup group{"environment",
-                        fmt::format("{} paths that scatter once", kTruePaths),
+                        fmt::format("{} directions, reference", kTrueDirections),
                         "24 directions",
                         false,
                         {},
                         {}};
-        const auto made = [&](std::uint32_t directions) {
-            RenderRequest request = base(error(kKernelError));
+        const auto made = [&](std::uint32_t directions, const QualitySettings& quality) {
+            RenderRequest request = base(quality);
             addEnvironment(request.scene, directions);
             return request;
         };
-        RenderRequest truth = made(0);
-        truth.quality = reference();
-        truth.path = true;
-        truth.most_bounces = 1;
-        group.truths.push_back(noisy(truth, kTruePaths));
+        group.truths.push_back({made(kTrueDirections, reference())});
         for (const std::uint32_t directions : {4u, 12u, 24u, 48u})
-            group.rows.push_back({fmt::format("{} directions", directions), made(directions)});
+            group.rows.push_back({fmt::format("{} directions", directions), made(directions, reference())});
+        group.rows.push_back({"24 directions, max-error 0.01", made(24, error(kKernelError))});
         return group;
     }
 
@@ -251,7 +274,7 @@ private:
         const ChannelFooter* channel =
             channelOf(subject_, [&](const ChannelFooter& one) { return one.name() == subject_.density; });
         if (!channel) return std::nullopt;
-        ModeGroup group{"surface",   fmt::format("reference; of spp, {} rays a pixel", kTrueRays),
+        ModeGroup group{"surface",   fmt::format("reference; of spp, {} rays a pixel", true_rays_),
                         "reference", false,
                         {},          {}};
         const auto made = [&](const QualitySettings& quality) {
@@ -264,7 +287,7 @@ private:
             return request;
         };
         group.truths.push_back({made(reference())});
-        group.truths.push_back(noisy(made(reference()), kTrueRays));
+        group.truths.push_back(noisy(made(reference()), true_rays_));
         group.rows.push_back({"reference", {}, 0, 0});
         addPresets(group, made);
         for (const std::uint32_t samples : {4u, 16u}) {
@@ -281,7 +304,7 @@ private:
         if (!velocity) return std::nullopt;
         const double fastest = std::max(std::abs(velocity->value_min()), std::abs(velocity->value_max()));
         if (!(fastest > 0)) return std::nullopt;
-        ModeGroup group{"motion", fmt::format("{} rays a pixel, reference", kTrueRays), "spp 4", true, {},
+        ModeGroup group{"motion", fmt::format("{} rays a pixel, reference", true_rays_), "spp 4", true, {},
                         {}};
         const auto made = [&](std::uint32_t samples, const QualitySettings& quality) {
             RenderRequest request = base(quality);
@@ -292,7 +315,7 @@ private:
             request.scene.mutable_shutter()->set_close(kShutter);
             return request;
         };
-        group.truths.push_back(noisy(made(1, reference()), kTrueRays));
+        group.truths.push_back(noisy(made(1, reference()), true_rays_));
         for (const std::uint32_t samples : {1u, 4u, 16u})
             group.rows.push_back({fmt::format("spp {}, reference", samples), made(samples, reference())});
         for (const std::uint32_t samples : {4u, 16u})
@@ -302,6 +325,7 @@ private:
 
     const ModeSubject& subject_;
     const std::uint32_t most_edge_;
+    std::uint32_t true_paths_ = kTruePaths, true_rays_ = kTrueRays;
     std::uint32_t edge_ = 0;  // pixels a side, of the group that is being made
 };
 

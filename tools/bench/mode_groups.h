@@ -20,6 +20,9 @@ struct ModeRow {
     RenderRequest request;
     std::size_t truth = 0;                     // index in ModeGroup::truths
     std::optional<std::size_t> is_truth = {};  // that picture itself; there is no request then
+    std::uint32_t grid_edge = 1;               // as ModeTruth's
+    // Its estimate speaks of another truth: a pixel's centre, another kernel.
+    bool silent = false;
 };
 
 // A picture that others are held to.

@@ -23,6 +23,7 @@ constexpr double kWithinThree = 0.997;
 
 struct ModeRun {
     double seconds = 0;
+    std::uint64_t bytes = 0;  // streamed
     std::string method;
     bool final = false;
     ModeError error;
@@ -97,15 +98,16 @@ private:
             truths.push_back(std::move(*outcome));
         }
         std::vector<ModeRun> runs;
-        double baseline = NAN;
+        const ModeRun* baseline = nullptr;
+        runs.reserve(group.rows.size());
         for (const ModeRow& row : group.rows) {
             options_.progress(fmt::format("trade: {}, {}: {}", cache.name, group.name, row.name));
             Result<ModeRun> run = runRow(dataset, row, truths, group.of_alpha);
             if (!run) return tl::unexpected(run.error());
-            if (row.name == group.baseline) baseline = run->seconds;
             runs.push_back(std::move(*run));
+            if (row.name == group.baseline) baseline = &runs.back();
         }
-        note(cache, group, runs, baseline);
+        note(cache, group, runs, *baseline);
         return {};
     }
 
@@ -115,7 +117,7 @@ private:
         const Picture& truth = truths[row.truth].picture;
         if (row.is_truth) {
             const RenderOutcome& drawn = truths[*row.is_truth];
-            return ModeRun{drawn.seconds_total, drawn.method, drawn.final,
+            return ModeRun{drawn.seconds_total, drawn.streamed.bytes_streamed, drawn.method, drawn.final,
                            modeError(drawn.picture, truth, of_alpha)};
         }
         Timing timing;
@@ -126,28 +128,29 @@ private:
             if (i > 0) continue;
             run.method = outcome->method;
             run.final = outcome->final;
-            run.error = modeError(outcome->picture, truth, of_alpha);
+            run.bytes = outcome->streamed.bytes_streamed;
+            run.error = modeError(boxFiltered(outcome->picture, row.grid_edge), truth, of_alpha);
         }
         run.seconds = timing.median();
         return run;
     }
 
     void note(const BenchCache& cache, const ModeGroup& group, const std::vector<ModeRun>& runs,
-              double baseline) {
-        options_.print(
-            fmt::format("\n{}, {}, {} pixels a side: error of {} against {}; times the seconds of '{}'",
-                        cache.name, group.name, edgeOf(group), group.of_alpha ? "alpha" : "R, G and B",
-                        group.truth_is, group.baseline));
-        TextTable table(
-            {"mode", "drawn by", "seconds", "times", "rms", "p99", "worst", "estimate", "est/rms", "in 3"});
+              const ModeRun& baseline) {
+        options_.print(fmt::format(
+            "\n{}, {}, {} pixels a side: error of {} against {}; seconds and bytes over those of '{}'",
+            cache.name, group.name, edgeOf(group), group.of_alpha ? "alpha" : "R, G and B", group.truth_is,
+            group.baseline));
+        TextTable table({"mode", "drawn by", "seconds", "times", "bytes", "rms", "p99", "worst", "estimate",
+                         "est/rms", "in 3"});
         nlohmann::json rows = nlohmann::json::array();
         for (std::size_t i = 0; i < runs.size(); ++i) {
             const ModeRun& run = runs[i];
             const std::string& name = group.rows[i].name;
-            // A kernel against another one is no error of which an estimate would speak.
-            const bool claims = name.find("against") == std::string::npos;
-            table.add({name, run.method, cell(run.seconds), cell(run.seconds / baseline), cell(run.error.rms),
-                       cell(run.error.p99), cell(run.error.worst),
+            const double bytes = double(run.bytes) / double(std::max<std::uint64_t>(baseline.bytes, 1));
+            const bool claims = !group.rows[i].silent;
+            table.add({name, run.method, cell(run.seconds), cell(run.seconds / baseline.seconds), cell(bytes),
+                       cell(run.error.rms), cell(run.error.p99), cell(run.error.worst),
                        claims ? cell(run.error.mean_estimate) : "",
                        claims && run.error.rms > 1e-7 ? cell(run.error.estimateOverRms()) : "",
                        claims ? fmt::format("{:.2f}%", 100 * run.error.within_3) : ""});
@@ -155,7 +158,8 @@ private:
             row["mode"] = name;
             row["method"] = run.method;
             row["seconds"] = run.seconds;
-            row["times_baseline"] = run.seconds / baseline;
+            row["seconds_over_baseline"] = run.seconds / baseline.seconds;
+            row["bytes_over_baseline"] = bytes;
             row["final"] = run.final;
             if (claims && run.error.within_3 < kWithinThree)
                 broken_.push_back({{"cache", cache.name},
