@@ -23,10 +23,16 @@ public:
     // Empty maps for the lights that want one. `world` outlives this.
     explicit ShadowMaps(const TracedWorld& world);
 
+    // Most levels of detail that a map is coarser than what is seen.
+    static double coarserBy(const TracedWorld& world);
+
     bool empty() const { return blocks_.empty(); }
     std::size_t blockCount() const { return blocks_.size(); }
-    // Different blocks may be filled by different threads. What a reader missed is the caller's to ask.
-    void fill(std::size_t block, WorldReader& reader, SurfaceHits* surfaces);
+    // Goes on with a block; gives how many of its pixels are done for good. Behind the first pixel that
+    // misses a page it goes on only to find out what else is missing, or with `stop_at_miss` not at all.
+    // Different blocks may be filled by different threads.
+    std::uint32_t fill(std::size_t block, bool stop_at_miss, WorldReader& reader, SurfaceHits* surfaces);
+    bool filled(std::size_t block) const { return blocks_[block].next == blocks_[block].end; }
     // Once all are filled.
     void calibrate();
 
@@ -37,9 +43,11 @@ public:
 private:
     struct Block {
         std::size_t light = 0;
-        std::uint32_t begin = 0, end = 0;  // pixels
+        std::uint32_t next = 0, end = 0;  // pixels that are left
         double lod = 0;
     };
+    void fillPixel(const Block& block, std::uint32_t pixel, WorldReader& reader, SurfaceHits* surfaces);
+
     const TracedWorld& world_;
     std::vector<std::unique_ptr<DeepShadowMap>> maps_;  // by light
     std::vector<Block> blocks_;

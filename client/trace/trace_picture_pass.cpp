@@ -119,6 +119,12 @@ Result<bool> TracePicture::prepare() {
                                 corner & 4 ? world_.box_high.z : world_.box_low.z);
             coarsest[m] = std::max(coarsest[m], int(std::ceil(world_.lodAt(world_.media[m], at))));
         }
+    const double coarser = request_.path ? 0 : ShadowMaps::coarserBy(world_);
+    if (coarser > 0)
+        for (TracedMedium& medium : world_.media) {
+            const glm::dvec3 nearest = glm::clamp(camera_->eye(), world_.box_low, world_.box_high);
+            medium.shadow_spread = std::exp2(std::ceil(world_.lodAt(medium, nearest) + coarser));
+        }
     std::vector<std::uint8_t> made(world_.media.size(), 0);
     while (!late()) {
         pass(world_.media.size(), [&](std::size_t m, Worker& worker) {
@@ -323,23 +329,21 @@ Result<bool> TracePicture::buildShadowMaps() {
     maps_.emplace(world_);
     std::vector<std::uint32_t> open_blocks(maps_->blockCount());
     std::iota(open_blocks.begin(), open_blocks.end(), 0u);
-    std::vector<std::uint8_t> filled(maps_->blockCount(), 0);
     int idle = 0;
+    bool alone = false;
     while (!open_blocks.empty()) {
         if (late()) return false;
-        const bool alone = idle >= kIdlePassesTogether;
+        std::atomic<std::uint64_t> pixels{0};
+        alone = alone || idle >= kIdlePassesTogether;
         pass(alone ? 1 : open_blocks.size(), [&](std::size_t i, Worker& worker) {
             for (const RayContext& context : worker.contexts)
                 if (!alone && context.full()) return;
             Readers readers(world_, worker.contexts);
-            maps_->fill(open_blocks[i], readers.view, readers.hits());
-            filled[open_blocks[i]] = !readers.takeMissed();
+            pixels += maps_->fill(open_blocks[i], alone, readers.view, readers.hits());
         });
-        const std::size_t before = open_blocks.size();
-        std::erase_if(open_blocks, [&](std::uint32_t block) { return filled[block] != 0; });
+        std::erase_if(open_blocks, [&](std::uint32_t block) { return maps_->filled(block); });
         if (open_blocks.empty()) break;
-        // Once the cache has proved too small for several blocks at a time, it stays so.
-        idle = open_blocks.size() == before ? idle + 1 : std::min(idle, kIdlePassesTogether);
+        idle = pixels.load() == 0 ? idle + 1 : 0;
         if (idle > kMostIdlePasses) return fail(ErrorCode::kInvalid, kSmallCache);
         const Result<bool> more = stream();
         if (!more) return tl::unexpected(more.error());

@@ -88,7 +88,8 @@ private:
     bool range(const TracedChannel& channel, const Box& box, double square_budget, ValueRange& out) const {
         const FieldFilter filter = medium_.settings->filter;
         // A kernel reaches a sample of the level beyond the cell, and central differences one more.
-        const double samples = filterReach(filter) * 2 * cellEdgeOf(level_) + 1e-6;
+        const double samples =
+            std::max(filterReach(filter) * 2 * cellEdgeOf(level_), medium_.shadow_spread) + 1e-6;
         const Box there = mapped(box, medium_.transform(), channel.channel->transform());
         const Box asked = grown(there, glm::dvec3(samples));
         const bool complete = rangeOver(*channel.channel, asked.low, asked.high, level_, square_budget,

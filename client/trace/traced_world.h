@@ -39,6 +39,8 @@ struct TracedMedium {
     bool advects = false;                  // between frames
     double time_open = 0, time_close = 0;  // of the shutter, frames
     ReadAccuracy density_accuracy, other_accuracy;
+    // Index units that coarse levels, which shadow maps are made of, spread what there is into empty cells.
+    double shadow_spread = 0;
     double pixels_per_voxel = 0;         // as QualitySettings
     glm::dvec3 box_low{0}, box_high{0};  // index space of `now`'s density
     MajorantGrid majorants;
