@@ -234,26 +234,34 @@ void PathWalk::scatterFrom(Walk& walk) {
         if (walk.bounces > most_bounces_ || event.kind == Event::Kind::kLost) return;
         if (event.kind == Event::Kind::kMedium) {
             MediumReader& medium = reader_.media[event.medium];
-            const MediumSettings& settings = *medium.medium().settings;
-            if (settings.transfer) return;  // absorbs
-            walk.left = SIZE_MAX;
+            if (medium.medium().settings->transfer) return;  // absorbs
             walk.weight *= medium.albedo(point, walk.lod, walk.time);
             if (!(greatest(walk.weight) > 0)) return;
-            lightMedium(walk, event.medium, point, walk.ray.direction);
-            const double cosine = settings.phase.pickCosine(walk.random.uniform());
-            walk.ray = {point, aroundAxis(walk.ray.direction, cosine, walk.random.uniform())};
-            walk.direction_density = settings.phase(cosine);
+            scatter(walk, event.medium, point);
         } else {
-            walk.left = event.hit.surface;
-            walk.left_entering = event.hit.hit.entering;
-            const glm::dvec3 normal = surfaces_->normal(event.hit, walk.ray.direction);
-            lightSurface(walk, event.hit, point, normal);
-            walk.weight *= world.surfaces[event.hit.surface].settings->color;
-            const double cosine = std::sqrt(walk.random.uniform());
-            walk.ray = {point, aroundAxis(normal, cosine, walk.random.uniform())};
-            walk.direction_density = cosine / std::numbers::pi;
+            reflect(walk, event.hit, point);
         }
     }
+}
+
+void PathWalk::scatter(Walk& walk, std::size_t m, const glm::dvec3& point) {
+    const PhaseFunction& phase = reader_.world.media[m].settings->phase;
+    walk.left = SIZE_MAX;
+    lightMedium(walk, m, point, walk.ray.direction);
+    const double cosine = phase.pickCosine(walk.random.uniform());
+    walk.ray = {point, aroundAxis(walk.ray.direction, cosine, walk.random.uniform())};
+    walk.direction_density = phase(cosine);
+}
+
+void PathWalk::reflect(Walk& walk, const PlacedHit& hit, const glm::dvec3& point) {
+    walk.left = hit.surface;
+    walk.left_entering = hit.hit.entering;
+    const glm::dvec3 normal = surfaces_->normal(hit, walk.ray.direction);
+    lightSurface(walk, hit, point, normal);
+    walk.weight *= reader_.world.surfaces[hit.surface].settings->color;
+    const double cosine = std::sqrt(walk.random.uniform());
+    walk.ray = {point, aroundAxis(normal, cosine, walk.random.uniform())};
+    walk.direction_density = cosine / std::numbers::pi;
 }
 
 RaySample PathWalk::sample(const WorldRay& ray, double end, double time, PathRandom& random) {
@@ -261,6 +269,7 @@ RaySample PathWalk::sample(const WorldRay& ray, double end, double time, PathRan
     RaySample out = march_.march(ray, end, time, 0, &steps_);
     const TracedWorld& world = reader_.world;
     Walk walk(random, time);
+    walk.ray = ray;
     double total = 0;
     cumulative_.clear();
     for (const MarchStep& step : steps_) cumulative_.push_back(total += step.transmittance * step.stopped);
@@ -273,16 +282,9 @@ RaySample PathWalk::sample(const WorldRay& ray, double end, double time, PathRan
     const double odds = (cumulative_[index] - (index > 0 ? cumulative_[index - 1] : 0)) / total;
     if (step.surface) {
         const glm::dvec3 point = ray.origin + step.span.end * ray.direction;
-        const glm::dvec3 normal = surfaces_->normal(step.hit, ray.direction);
         walk.weight = glm::dvec3(step.transmittance * step.stopped / odds);
         if (!world.media.empty()) walk.lod = world.lodAt(world.media[0], point);
-        walk.left = step.hit.surface;
-        walk.left_entering = step.hit.hit.entering;
-        lightSurface(walk, step.hit, point, normal);
-        walk.weight *= world.surfaces[step.hit.surface].settings->color;
-        const double cosine = std::sqrt(random.uniform());
-        walk.ray = {point, aroundAxis(normal, cosine, random.uniform())};
-        walk.direction_density = cosine / std::numbers::pi;
+        reflect(walk, step.hit, point);
     } else {
         const double length = step.span.end - step.span.begin;
         const double t = step.span.begin + random.uniform() * length;
@@ -294,17 +296,13 @@ RaySample PathWalk::sample(const WorldRay& ray, double end, double time, PathRan
             extinction += own;
             if (own > 0 && random.uniform() * extinction < own) chosen = m;
         }
-        const MediumSettings& settings = *world.media[chosen].settings;
-        if (!(extinction > 0) || settings.transfer) return out;
+        if (!(extinction > 0) || world.media[chosen].settings->transfer) return out;
         walk.lod = world.lodAt(world.media[chosen], point);
         const double within = ratioTrack(walk, ray, {step.span.begin, t});
         walk.weight = reader_.media[chosen].albedo(point, walk.lod, time) *
                       (step.transmittance * within * extinction * length / odds);
         if (walk.weight == glm::dvec3(0)) return out;
-        lightMedium(walk, chosen, point, ray.direction);
-        const double cosine = settings.phase.pickCosine(random.uniform());
-        walk.ray = {point, aroundAxis(ray.direction, cosine, random.uniform())};
-        walk.direction_density = settings.phase(cosine);
+        scatter(walk, chosen, point);
     }
     scatterFrom(walk);
     out.radiance += walk.radiance;

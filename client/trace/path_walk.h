@@ -30,6 +30,9 @@ private:
     };
     struct Walk;
     void scatterFrom(Walk& walk);
+    // Light and a new direction at a point where the walk's ray has ended.
+    void scatter(Walk& walk, std::size_t medium, const glm::dvec3& point);
+    void reflect(Walk& walk, const PlacedHit& hit, const glm::dvec3& point);
     void lightMedium(Walk& walk, std::size_t medium, const glm::dvec3& point, const glm::dvec3& direction);
     void lightSurface(Walk& walk, const PlacedHit& hit, const glm::dvec3& point, const glm::dvec3& normal);
     Event fly(Walk& walk, const WorldRay& ray);

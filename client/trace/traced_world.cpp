@@ -151,7 +151,8 @@ double TracedWorld::lodAt(const TracedMedium& medium, const glm::dvec3& point) c
     if (!(medium.pixels_per_voxel > 0)) return 0;
     const double distance = glm::length(point - camera->eye());
     const double voxel = distance * camera->pixelEdge() * medium.pixels_per_voxel;
-    return std::clamp(std::log2(voxel / medium.transform().voxelSize()), 0.0, double(kMaxLevel));
+    // The coarser of the two levels that are blended is the one whose voxels are no larger.
+    return std::clamp(std::log2(voxel / medium.transform().voxelSize()) - 1, 0.0, double(kMaxLevel));
 }
 
 RaySpan TracedWorld::clipped(const WorldRay& ray, RaySpan span) const {
