@@ -20,7 +20,7 @@ constexpr double kMemoCells = 2;
 constexpr double kCoarseSurface = 0.3;
 // Distant lights of one power stand for an environment: their mean is off by this part of what a random
 // choice of as many would be.
-constexpr double kEvenDirections = 0.3;
+constexpr double kEvenDirections = 0.5;
 
 double greatest(const glm::dvec3& v) { return std::max({v.x, v.y, v.z}); }
 double square(double x) { return x * x; }
@@ -56,7 +56,7 @@ glm::dvec3 RayMarch::scattered(std::size_t m, bool of_environment, const glm::dv
                                const glm::dvec3& direction, double lod, double time, double& variance) {
     const MediumSettings& settings = *reader_.world.media[m].settings;
     glm::dvec3 sum(0);
-    double squares = 0, total = 0, count = 0;
+    double squares = 0, total = 0, count = 0, deviations = 0;
     for (std::size_t l = 0; l < reader_.world.lights.size(); ++l) {
         const TracedLight& light = reader_.world.lights[l];
         if (light.of_environment != of_environment) continue;
@@ -70,10 +70,14 @@ glm::dvec3 RayMarch::scattered(std::size_t m, bool of_environment, const glm::dv
         squares += square(greatest(part));
         total += greatest(part);
         ++count;
-        variance += square(reach.deviation * phase * greatest(arrival.irradiance));
+        const double deviation = reach.deviation * phase * greatest(arrival.irradiance);
+        deviations += deviation;
+        if (!of_environment) variance += square(deviation);
     }
+    // Maps of one environment are coarse in the same way: their errors go together.
     if (of_environment && count > 0)
-        variance += square(kEvenDirections) * std::max(0.0, squares - total * total / count);
+        variance +=
+            square(deviations) + square(kEvenDirections) * std::max(0.0, squares - total * total / count);
     return sum;
 }
 
