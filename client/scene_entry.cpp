@@ -26,8 +26,10 @@ tl::unexpected<Error> refuseEntry(const std::string& entry, const std::string& w
 
 Result<double> scaleEntry(double value, double otherwise, const std::string& entry) {
     if (value == 0) return otherwise;
-    if (!std::isfinite(value) || value < 0)
-        return refuseEntry(entry, fmt::format("is {}; it wants a number above 0", value));
+    // Products of a few of them stay finite.
+    constexpr double kMost = 1e30;
+    if (!(value >= 0 && value <= kMost))
+        return refuseEntry(entry, fmt::format("is {}; it wants a number above 0, at most 1e30", value));
     return value;
 }
 

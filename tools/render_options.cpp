@@ -306,7 +306,8 @@ void addRenderOptions(CLI::App& command, RenderOptions& options) {
     command.add_option("--device", options.device, "cpu")
         ->check(CLI::IsMember({"cpu", "gpu"}))
         ->capture_default_str();
-    command.add_option("--threads", options.threads, "Ray threads; one per processor");
+    command.add_option("--threads", options.threads, "Ray threads, at most 1024; one per processor")
+        ->check(CLI::Range(0, 1024));
     command.add_option(
         "--explain", options.explain,
         "WHY.exr: per pixel the level drawn, and how much is queued, over budget, failed, without "

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <cctype>
+#include <cmath>
+#include <limits>
 #include <span>
 #include <string>
 #include <string_view>
@@ -78,7 +80,10 @@ std::optional<std::uint32_t> levelSetOf(const FrameFooter& frame) {
 SceneContents sceneContents(const FrameFooter& frame) {
     SceneContents contents;
     const auto drawn = [](const ChannelFooter& channel) {
-        return channel.components() == 1 && channel.active_voxels() > 0 && channel.active_min_size() == 3;
+        // Values beyond the float range are stored, but not drawn.
+        constexpr double kMost = std::numeric_limits<float>::max();
+        return channel.components() == 1 && channel.active_voxels() > 0 && channel.active_min_size() == 3 &&
+               std::abs(channel.value_min()) <= kMost && std::abs(channel.value_max()) <= kMost;
     };
     const auto vectors = [](const ChannelFooter& channel) {
         return channel.components() == 3 && channel.active_voxels() > 0;

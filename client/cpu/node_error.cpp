@@ -35,6 +35,11 @@ double effectiveSquareOfCodes(std::uint8_t rms, std::uint8_t bound) {
     return kCodeSquares.rms[rms] * kCodeSquares.bound[bound];
 }
 
+double squareOfNode(const PagedChannel& channel, const NodeKey& key, const NodeRecord& record) {
+    const double bound = double(record.bound);
+    return std::min(effectiveSquare(double(record.rms), bound) * speckFactor(channel, key), bound * bound);
+}
+
 double speckFactor(const PagedChannel& channel, const NodeKey& key) {
     constexpr double kSpeck = 64;
     const double edge = nodeEdge(key, channel.shape());

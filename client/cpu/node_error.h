@@ -32,6 +32,9 @@ struct NodeErrors {
 // the error grid allows for.
 double speckFactor(const PagedChannel& channel, const NodeKey& key);
 
+// Mean square of a node's effective deviation, as rays see it.
+double squareOfNode(const PagedChannel& channel, const NodeKey& key, const NodeRecord& record);
+
 NodeErrors errorsOfNode(const NodeRecord& record, const ErrorGrid* grid);
 NodeErrors errorsOfDraft(const NodeRecord& record);
 

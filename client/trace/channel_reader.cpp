@@ -43,10 +43,13 @@ void ChannelReader::takeNode(const NodeRef& ref, const NodeKey& key, Entry& out)
     out.edge = cellEdge(key.level);
     out.per_cell = 1 / out.edge;
     out.samples = nullptr;
-    out.square = effectiveSquare(double(record.rms), double(record.bound)) * out.edge;
+    out.speck = speckFactor(*channel_, key);
+    out.square = squareOfNode(*channel_, key, record) * out.edge;
     out.grid = block.errorGrid(ref.node);
     out.bound = double(record.bound);
+    out.region = 0;
     if (record.hasBrick()) return;
+    out.region = nodeEdge(key, channel_->shape());
     const std::span<const ValueBits> value = block.constant(ref.node);
     const SampleType type = levelType(channel_->type(), key.level);
     for (std::size_t c = 0; c < value.size() && c < 3; ++c) out.constant[c] = toFloat(type, value[c]);
@@ -78,6 +81,7 @@ void ChannelReader::find(const NodeKey& key, const glm::dvec3& position, Entry& 
             ref = {0, std::uint32_t(i)};
         }
     }
+    out.region = nodeEdge(key, channel_->shape());
     if (at.level < 0) return;  // outside all roots: background
 
     // The finest resident brick on the way down stands in for one that is missing.
@@ -103,9 +107,9 @@ void ChannelReader::find(const NodeKey& key, const glm::dvec3& position, Entry& 
         if (ref.node >= block->nodeCount()) return;  // a block that lies about its roots: nothing there
         const NodeRecord& record = block->record(ref.node);
         const PageAddress page{channel_->index(), ref.block, ref.node, false};
-        const bool stays = at.level <= key.level || at.level == 0 || block->isLeaf(ref.node) ||
-                           effectiveSquare(double(record.rms), double(record.bound)) * cellEdge(at.level) <=
-                               accuracy_.square_budget;
+        const bool stays =
+            at.level <= key.level || at.level == 0 || block->isLeaf(ref.node) ||
+            squareOfNode(*channel_, at, record) * cellEdge(at.level) <= accuracy_.square_budget;
         if (stays || record.hasBrick()) {
             const float* samples = record.hasBrick() ? context_->cache->find(page) : nullptr;
             if (samples || (stays && !record.hasBrick())) {
@@ -127,6 +131,7 @@ void ChannelReader::find(const NodeKey& key, const glm::dvec3& position, Entry& 
                 if (!has_stand_in) {
                     // Some value that the node may have.
                     takeNode(ref, at, out);
+                    out.region = 0;
                     for (float& value : out.constant) value = 0.5f * (record.value_min + record.value_max);
                 }
                 return missing(failed);
@@ -137,7 +142,10 @@ void ChannelReader::find(const NodeKey& key, const glm::dvec3& position, Entry& 
         const int octant =
             int(position.x >= middle.x) | int(position.y >= middle.y) << 1 | int(position.z >= middle.z) << 2;
         const unsigned valid = block->validMask(ref.node);
-        if (!(valid >> octant & 1)) return;  // background
+        if (!(valid >> octant & 1)) {  // background
+            out.region = std::max(out.region, 0.5 * nodeEdge(at, channel_->shape()));
+            return;
+        }
         const ChildrenRef first = block->children(ref.node);
         ref = {first.block, first.first + std::uint32_t(__builtin_popcount(valid & ((1u << octant) - 1)))};
         at = at.child(octant);
@@ -280,8 +288,15 @@ double ChannelReader::cellEdgeAt(const glm::dvec3& position, double lod) {
     const int level = clampLevel(lod);
     const double cell = cellEdge(level);
     const Entry& entry = entryAt(level, position);
-    if (filter_ == FieldFilter::kTrilinear || entry.edge == cell) return entry.edge;
-    if (filter_ == FieldFilter::kNearest) return cell;
+    if (filter_ == FieldFilter::kTrilinear) {
+        if (entry.region == 0) return entry.edge;
+        // One value here; but what the coarser level has may be spread over it.
+        const double region = entry.region;
+        if (!(lod > level) || level >= top_level_) return region;
+        const Entry& coarser = entryAt(level + 1, position);
+        return std::min(region, coarser.region > 0 ? coarser.region : coarser.edge);
+    }
+    if (entry.edge == cell || filter_ == FieldFilter::kNearest) return cell;
     // A kernel reaches two samples of the level over the border of a coarser node.
     for (int a = 0; a < 3; ++a) {
         const double place = (position[a] - entry.low[a]) * entry.per_cell;
@@ -299,7 +314,7 @@ double ChannelReader::squareIn(const Entry& entry, const glm::dvec3& position) c
     };
     const std::size_t at = box(0) + kErrorGridEdge * (box(1) + kErrorGridEdge * box(2));
     return effectiveSquareOfCodes(entry.grid->rms[at], entry.grid->bound[at]) * entry.bound * entry.bound *
-           entry.edge;
+           entry.speck * entry.edge;
 }
 
 double ChannelReader::spreadAt(const glm::dvec3& position, double lod) {

@@ -66,10 +66,12 @@ private:
         double per_cell = 1;             // cells per index unit
         const float* samples = nullptr;  // nullptr: constant
         float constant[3] = {};
+        double region = 0;                // edge of what has one value, index units; 0: not one value
         double edge = 1;                  // of its cells, index units
         double square = 0;                // variance per index unit, where there is no grid
         const ErrorGrid* grid = nullptr;  // of sub-boxes, relative to `bound`
         double bound = 0;
+        double speck = 1;  // as speckFactor()
         bool missing = false;
     };
     const Entry& entryAt(int level, const glm::dvec3& position);

@@ -237,7 +237,7 @@ void RayMarch::stretch(Ray& ray, const MediaWalk& walk, RaySpan span) {
     ray.depth_variance += variance;
     const double before = 1 - ray.transmittance;
     ray.transmittance *= std::exp(-depth);
-    marks_.push_back({span.begin, span.end, before, 1 - ray.transmittance});
+    if (depth > 0) marks_.push_back({span.begin, span.end, before, 1 - ray.transmittance});
 }
 
 void RayMarch::media(Ray& ray, RaySpan span) {

@@ -22,7 +22,7 @@ constexpr double kExactBelow = 5e-4;
 
 bool simpleLight(const Light& light) {
     return light.type().empty() || light.type() == "directional"
-               ? !light.direction().empty() && light.shadows().empty()
+               ? !light.direction().empty() && light.shadows().empty() && light.baked().empty()
                : false;
 }
 
@@ -38,9 +38,11 @@ bool simpleMedium(const Medium& medium) {
 
 bool drawnByBeams(const RenderRequest& request) {
     const Scene& scene = request.scene;
+    const bool placed = std::any_of(scene.datasets().begin(), scene.datasets().end(),
+                                    [](const SceneDataset& dataset) { return !dataset.transform().empty(); });
     return !request.path && request.samples == 1 && request.between == 0 && request.others.empty() &&
            (!request.filter || *request.filter == FieldFilter::kTrilinear) &&
-           (!request.shadows || *request.shadows == ShadowMethod::kAuto) && !request.behind &&
+           (!request.shadows || *request.shadows == ShadowMethod::kAuto) && !request.behind && !placed &&
            scene.media().empty() && scene.surfaces().empty() && !scene.has_clip() && !scene.has_shutter() &&
            scene.lights_size() <= 1 &&
            std::all_of(scene.lights().begin(), scene.lights().end(), simpleLight) &&

@@ -212,6 +212,10 @@ void TracePicture::traceTile(std::size_t index, Worker& worker) {
         for (std::uint32_t k = 0; k < tile.round_samples; ++k) {
             const std::size_t at = std::size_t(i) * tile.round_samples + k;
             if (tile.have[at]) continue;
+            if (late()) {
+                complete = false;
+                continue;
+            }
             // Where the cache is full of wants already, a sample would only want more.
             bool full = false;
             for (const RayContext& context : worker.contexts) full |= context.full();
@@ -285,7 +289,9 @@ void TracePicture::writePixel(std::uint32_t at) {
         const double variance = std::max(0.0, squares - total * total / count) / (count - 1);
         return few * std::sqrt(variance / count);
     };
-    for (int c = 0; c < 3; ++c) pixel.radiance[std::size_t(c)] = float(sum.radiance[c] / count);
+    constexpr double kMost = std::numeric_limits<float>::max();
+    for (int c = 0; c < 3; ++c)
+        pixel.radiance[std::size_t(c)] = float(std::clamp(sum.radiance[c] / count, -kMost, kMost));
     pixel.alpha = float(sum.alpha / count);
     pixel.depth = sum.depth_weight > 0 ? float(sum.depth / sum.depth_weight) : 0;
     pixel.bound_alpha = std::max(pixel.alpha, 1 - pixel.alpha);
@@ -338,6 +344,7 @@ Result<bool> TracePicture::buildShadowMaps() {
         pass(alone ? 1 : open_blocks.size(), [&](std::size_t i, Worker& worker) {
             for (const RayContext& context : worker.contexts)
                 if (!alone && context.full()) return;
+            if (late()) return;
             Readers readers(world_, worker.contexts);
             pixels += maps_->fill(open_blocks[i], alone, readers.view, readers.hits());
         });

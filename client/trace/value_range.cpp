@@ -41,8 +41,7 @@ struct Query {
         const NodeRecord& record = block->record(ref.node);
         if (double(record.value_min) >= out.low && double(record.value_max) <= out.high) return;
         if (key.level <= level || key.level == 0 || block->isLeaf(ref.node) ||
-            effectiveSquare(double(record.rms), double(record.bound)) * cellEdge(key.level) <=
-                square_budget) {
+            squareOfNode(channel, key, record) * cellEdge(key.level) <= square_budget) {
             out.add(double(record.value_min));
             out.add(double(record.value_max));
             return;
