@@ -98,7 +98,7 @@ MediumEmission WorldBinder::emission(const Emission& from, std::uint32_t frame, 
         out.kelvin_scale = take(scaleEntry(body.kelvin_scale(), 1, where + ".black_body.kelvin_scale"));
         out.kelvin_offset = body.kelvin_offset();
         if (!(std::abs(out.kelvin_offset) <= 1e30))
-            refuse(where + ".black_body.kelvin_offset", "wants a number of at most 1e30");
+            refuse(where + ".black_body.kelvin_offset", "wants a finite number, at most 1e30");
         const double one = body.kelvin_at_one() == 0 ? 1500 : body.kelvin_at_one();
         // Below, a flame would be as many times brighter as there are no numbers for.
         if (!(one >= 500 && one <= 40000))
