@@ -27,9 +27,9 @@ tl::unexpected<Error> refuseEntry(const std::string& entry, const std::string& w
 Result<double> scaleEntry(double value, double otherwise, const std::string& entry) {
     if (value == 0) return otherwise;
     // Products of a few of them stay finite.
-    constexpr double kMost = 1e30;
+    constexpr double kMost = 1e100;
     if (!(value >= 0 && value <= kMost))
-        return refuseEntry(entry, fmt::format("is {}; it wants a number above 0, at most 1e30", value));
+        return refuseEntry(entry, fmt::format("is {}; it wants a number above 0, at most 1e100", value));
     return value;
 }
 

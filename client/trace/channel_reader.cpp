@@ -20,6 +20,15 @@ std::int64_t floorOf(double x) {
     return i - (x < double(i));
 }
 
+// Between the eight samples from `c` on.
+template <class Number>
+Number trilinearOf(const float* c, BrickShape shape, Number x, Number y, Number z) {
+    const std::size_t sy = std::size_t(shape.edgeSamples()), sz = sy * sy;
+    auto mix = [](Number from, Number to, Number t) { return from + (to - from) * t; };
+    auto row = [&](std::size_t at) { return mix(Number(c[at]), Number(c[at + 1]), x); };
+    return mix(mix(row(0), row(sy), y), mix(row(sz), row(sz + sy), y), z);
+}
+
 }  // namespace
 
 ChannelReader::ChannelReader(const PagedChannel& channel, FieldFilter filter, ReadAccuracy accuracy,
@@ -48,6 +57,9 @@ void ChannelReader::takeNode(const NodeRef& ref, const NodeKey& key, Entry& out)
     out.grid = block.errorGrid(ref.node);
     out.bound = double(record.bound);
     out.region = 0;
+    constexpr float kTiny = 1e-30f;
+    out.careful = std::max(std::abs(record.value_min), std::abs(record.value_max)) < kTiny ||
+                  (record.value_min < 0 && record.value_max > 0);
     if (record.hasBrick()) return;
     out.region = nodeEdge(key, channel_->shape());
     const std::span<const ValueBits> value = block.constant(ref.node);
@@ -175,14 +187,11 @@ double ChannelReader::trilinear(const Entry& entry, const glm::dvec3& position, 
                  z = (position.z - entry.low.z) * entry.per_cell;
     const int i = std::clamp(int(x), 0, last), j = std::clamp(int(y), 0, last),
               k = std::clamp(int(z), 0, last);
+    if (entry.careful)
+        return trilinearOf<double>(samples + shape.sampleAt(i, j, k), shape, x - i, y - j, z - k);
     // Samples are floats, and so is what lies between them.
-    const float fx = float(x - i), fy = float(y - j), fz = float(z - k);
-    const std::size_t sy = std::size_t(shape.edgeSamples()), sz = sy * sy;
-    const float* c = samples + shape.sampleAt(i, j, k);
-    auto mix = [](float from, float to, float t) { return from + (to - from) * t; };
-    const float y0 = mix(mix(c[0], c[1], fx), mix(c[sy], c[sy + 1], fx), fy);
-    const float y1 = mix(mix(c[sz], c[sz + 1], fx), mix(c[sz + sy], c[sz + sy + 1], fx), fy);
-    return double(mix(y0, y1, fz));
+    return double(trilinearOf<float>(samples + shape.sampleAt(i, j, k), shape, float(x - i), float(y - j),
+                                     float(z - k)));
 }
 
 // The kernels over 4^3 samples of the level's lattice, brick by brick where they lie in several.

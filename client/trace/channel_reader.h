@@ -72,6 +72,8 @@ private:
         const ErrorGrid* grid = nullptr;  // of sub-boxes, relative to `bound`
         double bound = 0;
         double speck = 1;  // as speckFactor()
+        // Floats would lose digits between values so small, or of both signs.
+        bool careful = false;
         bool missing = false;
     };
     const Entry& entryAt(int level, const glm::dvec3& position);

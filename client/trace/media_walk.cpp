@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "client/cpu/cell_walk.h"
+
 namespace brickyard {
 
 WorldReader::WorldReader(const TracedWorld& traced, std::span<const RayContext> contexts) : world(traced) {
@@ -81,6 +83,8 @@ bool MediaWalk::next(RaySpan& stretch) {
             }
             stretch = {t, end};
         }
+        // Where distances have no digits left for a step, the ray ends.
+        if (!(end > t)) end = span_.end;
         span_.begin = end;
         if (any) return true;
     }
@@ -113,6 +117,15 @@ double stretchDepth(MediumReader& reader, const MediaWalk& walk, std::size_t m, 
         return settings.density_scale * length * 0.5 *
                (settings.transfer->mean(values[0], values[1]).opacity +
                 settings.transfer->mean(values[1], values[2]).opacity);
+    }
+    if (reader.medium().both_signs) {
+        // What is below 0 counts as 0: the cubic is split at its roots.
+        constexpr double kPlaces[] = {1e-9, 1.0 / 3, 2.0 / 3, 1 - 1e-9};
+        double values[4];
+        for (std::size_t i = 0; i < 4; ++i)
+            values[i] = reader.density(walk.at(stretch.begin + kPlaces[i] * length), walk.lod(m), time);
+        return settings.density_scale * length *
+               integratePositiveCubic(values[0], values[1], values[2], values[3]);
     }
     const double a = reader.extinction(walk.at(stretch.begin + kGaussPoint * length), walk.lod(m), time);
     const double b = reader.extinction(walk.at(stretch.end - kGaussPoint * length), walk.lod(m), time);

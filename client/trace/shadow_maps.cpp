@@ -101,9 +101,12 @@ void ShadowMaps::fillPixel(const Block& block, std::uint32_t pixel, WorldReader&
     // Behind this depth nothing is seen of what is lit.
     constexpr double kDark = 24;
     DeepShadowMap& map = *maps_[block.light];
-    const WorldRay ray = map.projection().ray(pixel);
-    const RaySpan span = map.projection().span(pixel);
-    if (span.empty()) return;
+    WorldRay ray = map.projection().ray(pixel);
+    const RaySpan whole = map.projection().span(pixel);
+    if (whole.empty()) return;
+    // From where it meets the box: a light may be far.
+    ray.origin += whole.begin * ray.direction;
+    const RaySpan span{0, whole.end - whole.begin};
     const double moment = 0.5 * (world_.settings.shutter_open + world_.settings.shutter_close);
     std::vector<ShadowVertex> curve;
     double depth = 0;
@@ -132,6 +135,7 @@ void ShadowMaps::fillPixel(const Block& block, std::uint32_t pixel, WorldReader&
             from = at;
         }
     media({from, span.end});
+    for (ShadowVertex& vertex : curve) vertex.distance += whole.begin;
     map.set(pixel, curve);
 }
 

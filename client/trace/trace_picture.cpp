@@ -190,6 +190,8 @@ Result<void> TracePicture::openChannels() {
             medium.advects =
                 request_.between_by == BetweenFrames::kAdvect && medium.now.velocity && medium.next.velocity;
         }
+        const PagedChannel& density = *medium.now.density.channel;
+        medium.both_signs = density.valueMin() < 0 || density.background() < 0;
         medium.time_open = world_.settings.shutter_open;
         medium.time_close = world_.settings.shutter_close;
         // Nothing to draw: it is left out.

@@ -175,12 +175,20 @@ RaySample TracePicture::traceSample(std::uint32_t x, std::uint32_t y, std::uint3
             moment = place.time;
         }
     }
-    const WorldRay ray = camera_->rayThrough(double(x) + px, double(y) + py);
+    WorldRay ray = camera_->rayThrough(double(x) + px, double(y) + py);
     const double time = open + (close - open) * moment;
-    const double end = rayEnd(x, y);
-    return request_.path
-               ? walk.sample(ray, end, time, random)
-               : march.march(ray, end, time, mixBits(request_.seed + pixel * 0x9e3779b97f4a7c15ull + sample));
+    double end = rayEnd(x, y);
+    // Distances count from where there is something: from a far eye they would have no digits left.
+    const RaySpan met = IndexRay(ray, Affine()).clip(world_.box_low, world_.box_high, {0, end});
+    const double begin = met.empty() ? 0 : met.begin;
+    ray.origin += begin * ray.direction;
+    end -= begin;
+    RaySample out =
+        request_.path
+            ? walk.sample(ray, end, time, random)
+            : march.march(ray, end, time, mixBits(request_.seed + pixel * 0x9e3779b97f4a7c15ull + sample));
+    if (out.depth > 0) out.depth += begin;
+    return out;
 }
 
 void TracePicture::traceTile(std::size_t index, Worker& worker) {

@@ -35,6 +35,7 @@ struct MediumChannels {
 struct TracedMedium {
     const MediumSettings* settings = nullptr;
     MediumChannels now, next;              // next.density: only between two frames
+    bool both_signs = false;               // densities may be below 0 in one place and above in another
     double between = 0;                    // weight of `next`
     bool advects = false;                  // between frames
     double time_open = 0, time_close = 0;  // of the shutter, frames

@@ -57,6 +57,7 @@ public:
         if (view_.peak_depth && peak > 0 && std::isfinite(*view_.peak_depth / peak)) {
             drawAll(*view_.peak_depth / peak);
             drawLit(*view_.peak_depth / peak);
+            drawWhole(*view_.peak_depth / peak);
         }
         return out_;
     }
@@ -82,6 +83,10 @@ private:
             return std::nullopt;
         }
         if (!outcome->final) out_.faults.push_back(what + ": is not final");
+        // Whole scenes have no guarantee, and say so.
+        if (outcome->method != "beams")
+            for (Pixel& pixel : outcome->picture.pixels)
+                if (std::isinf(pixel.bound_radiance)) pixel.bound_radiance = 0;
         if (const std::string value = impossibleValue(outcome->picture); !value.empty())
             out_.faults.push_back(fmt::format("{}: {}", what, value));
         return std::move(*outcome);
@@ -135,6 +140,22 @@ private:
             emission->set_scale(scale);
             draw(lit, fmt::format("{}, lit and glowing, at density scale {:.3g}", quality.name, scale));
         }
+    }
+
+    // As whole scenes are drawn: it ends, what it shows is possible, and the same within what that way
+    // promises.
+    void drawWhole(double scale) {
+        constexpr double kMost = 1e-3;
+        RenderRequest whole = request({.reference = true}, scale);
+        whole.shadows = ShadowMethod::kNone;
+        const std::string what = fmt::format("reference, as a whole scene, at density scale {:.3g}", scale);
+        const auto outcome = draw(whole, what);
+        if (!outcome) return;
+        double worst = 0;
+        for (std::size_t i = 0; i < depths_.size(); ++i)
+            worst = std::max(worst, std::abs(double(outcome->picture.pixels[i].alpha) +
+                                             double(std::expm1(-depths_[i] * (long double)scale))));
+        if (worst > kMost) out_.faults.push_back(fmt::format("{}: alpha is off by {:.3g}", what, worst));
     }
 
     const FieldSource& source_;
