@@ -31,7 +31,8 @@ const char* const kHead =
 Written by the tests: `BRICKYARD_UPDATE_EXTREMES=1 build/release/tests/extremes_test` makes it anew, and without that
 variable the same program fails where a row is no longer true. Each dataset is drawn twice, with a density scale of 1 and
 with one that gives its deepest ray an optical depth of 2; each of these in six ways: `--quality reference`, draft, preview
-and final, `--max-error 0.05`, and that with `--strict`. Once more it is lit and glows.
+and final, `--max-error 0.05`, and that with `--strict`. Once more it is lit and glows,
+and once more it is drawn as whole scenes are (design.md): the reference of that way is within 1e-3 and ends.
 
 - "alpha is off by at most": of `--quality reference`, at the worst pixel, against an integral of the source's samples in
   long double (`tests/client/reference_field.h`), which shares no code with the renderer but the camera's rays. 2e-06 is
