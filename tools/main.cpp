@@ -72,8 +72,10 @@ void addMissingCommand(CLI::App& app, const CommandEntry& entry, int& status) {
     const std::string why = fmt::format("left out of this build; configure with -D{}=ON", entry.cmake_option);
     CLI::App* command = app.add_subcommand(entry.name, fmt::format("({})", why));
     command->allow_extras();
-    command->callback(
-        [&status, &entry, why] { status = reportError(entry.name, Error{ErrorCode::kUnsupported, why}); });
+    command->callback([&status, &entry, why] {
+        const Error error{ErrorCode::kUnsupported, why};
+        status = reportError(entry.name, error);
+    });
 }
 
 // CLI11's message on one line, and where to look next.

@@ -223,8 +223,9 @@ TEST_F(PathNoiseTest, TheErrorFallsAsOneOverTheRootOfTheSamplesAndIsToldRightly)
     }
     EXPECT_NEAR(std::log(errors[0] / errors[2]) / std::log(16.0), 0.5, 0.1)
         << errors[0] << " " << errors[1] << " " << errors[2];
-    EXPECT_NEAR(ratios[1], 1, 0.4);
-    EXPECT_NEAR(ratios[2], 1, 0.2);
+    // Of few samples the estimate is short: their distribution has a long tail.
+    EXPECT_NEAR(ratios[1], 1, 0.3);
+    EXPECT_NEAR(ratios[2], 1, 0.1);
 }
 
 TEST_F(PathNoiseTest, TheSameSeedGivesTheSamePictureWhateverTheThreads) {

@@ -45,6 +45,12 @@ openvdb::GridPtrVec windyGrids(double x) {
     return {density, velocity};
 }
 
+// Large caches that are not part of the project; tests of them say so and skip where they are absent.
+std::filesystem::path sharedData() {
+    const char* const set = std::getenv("BRICKYARD_SHARED_DATA");
+    return set ? set : BRICKYARD_TEST_DATA "/../../../shared/data";
+}
+
 class SceneCommandTest : public testing::Test {
 protected:
     SceneCommandTest() { openvdb::initialize(); }
@@ -247,9 +253,8 @@ TEST_F(SceneCommandTest, TheUnitOfTheVelocityIsFoundFromTwoFrames) {
 
 // Mantaflow's velocities are cells a tenth of a time unit: nobody would guess it.
 TEST_F(SceneCommandTest, TheUnitOfASolversVelocityIsFoundInItsCache) {
-    const char* const set = std::getenv("BRICKYARD_SHARED_DATA");
-    const std::filesystem::path shared = set ? set : BRICKYARD_TEST_DATA "/../../../shared/data";
-    if (!std::filesystem::is_directory(shared)) GTEST_SKIP() << "no shared data";
+    const std::filesystem::path shared = sharedData();
+    if (!std::filesystem::is_directory(shared)) GTEST_SKIP() << "no shared data at " << shared;
     std::vector<std::string> files;
     for (const char* frame : {"14", "15", "16", "17"})
         files.push_back(
@@ -287,8 +292,8 @@ TEST_F(SceneCommandTest, ColumnsAreMeasuredInWorldUnits) {
     const auto glow = [](std::int64_t) { return 3.0; };
     EXPECT_NEAR(brightestColumns(density, 0, glow, 2), 3 * 0.5 * 22, 1e-6)
         << "one sample more on either side";
-    const double thick =
-        brightestColumns(density, 1, [&](std::int64_t i) { return double(density.value(i)) > 0 ? 3 : 0; }, 2);
+    const auto thick_glow = [&](std::int64_t i) { return double(density.value(i)) > 0 ? 3.0 : 0.0; };
+    const double thick = brightestColumns(density, 1, thick_glow, 2);
     EXPECT_NEAR(thick, 3 / 2.0, 0.1);
 }
 
@@ -330,9 +335,8 @@ TEST_F(SceneCommandTest, WhatCannotBeIsOneLine) {
 
 // The shared caches, where they are: every one gets a scene that binds.
 TEST_F(SceneCommandTest, EverySharedCacheGetsAScene) {
-    const char* const set = std::getenv("BRICKYARD_SHARED_DATA");
-    const std::filesystem::path shared = set ? set : BRICKYARD_TEST_DATA "/../../../shared/data";
-    if (!std::filesystem::is_directory(shared)) GTEST_SKIP() << "no shared data";
+    const std::filesystem::path shared = sharedData();
+    if (!std::filesystem::is_directory(shared)) GTEST_SKIP() << "no shared data at " << shared;
     const std::pair<const char*, const char*> caches[] = {
         {"sim/plume_fire/fluid_data_0024.vdb", "black_body"},
         {"sim/plume_fire_64/fluid_data_0015.vdb", "black_body"},

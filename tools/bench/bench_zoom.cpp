@@ -79,6 +79,7 @@ public:
         if (!(file << csv_ << std::flush))
             return fail(ErrorCode::kIo, fmt::format("{}: cannot be written; is the disk full?",
                                                     (options_.output / "zoom.csv").string()));
+        options_.print(fmt::format("Written: zoom.csv in {}", options_.output.string()));
         return nlohmann::json{{"frames", frames_}, {"zooms", figures_}};
     }
 
